@@ -30,7 +30,7 @@ from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.locate import locate
 from oed_sysid.evidence.misfit import Signal, concentrations, correlate, regimes
 from oed_sysid.evidence.propose import Signal as Cause
-from oed_sysid.evidence.propose import Signals, Term, propose, term_scores, terms
+from oed_sysid.evidence.propose import Signals, Term, TermScores, propose, terms
 from oed_sysid.evidence.rank import Ranking, rank
 from oed_sysid.evidence.residual_forces import let_in
 from oed_sysid.evidence.score import Score, scores
@@ -387,7 +387,7 @@ def test_scores_are_those_of_the_wider_model() -> None:
     effect = term.effect(PROBLEM.model, UNITS, 1.0)
     study, fit = Study.begin(PROBLEM.model, train, None, (), known_noise=True)
     problem, unknowns = let_in(fit, study.unit)
-    found = term_scores(problem, unknowns).scores
+    found = TermScores(problem, unknowns).scores
     score = next(s for s in found if s.term == term)
     model = problem.model + effect
     wide = Filtered(model, train, problem.levels)

@@ -37,7 +37,7 @@ from time import perf_counter
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.evidence import contrasts
+from oed_sysid.evidence import contrasts, words
 from oed_sysid.evidence.contrasts import Found, Piece, Question, Result
 from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
 from oed_sysid.evidence.inputs import between_runs, input_findings, scaled_inputs
@@ -59,18 +59,6 @@ from oed_sysid.evidence.result import (
 )
 from oed_sysid.evidence.screens import Fault, jitter, marked, screened
 from oed_sysid.evidence.traces import Trace, units_of
-from oed_sysid.evidence.words import (
-    READ,
-    Log,
-    clock_findings,
-    jitter_finding,
-    jitter_rows,
-    judged_row,
-    misfit_finding,
-    said,
-    say_reading,
-    screen_findings,
-)
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.likelihood.departures import other_way
 from oed_sysid.likelihood.fit import Fit
@@ -151,9 +139,13 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     if equations:
         faults, related, balances, ended = _related(dataset, model, clean, equations, faults)
     late = jitter(clean)
-    findings = [*screen_findings(dataset, traces, faults), *related, *jitter_finding(late, dataset)]
+    findings = [
+        *words.screen_findings(dataset, traces, faults),
+        *related,
+        *words.jitter_finding(late, dataset),
+    ]
     asked, unchecked = _asked(model, traces, equations, ended), _shared(equations, traces)
-    asked += jitter_rows(late, model.output_names)
+    asked += words.jitter_rows(late, model.output_names)
     if inputs:
         known = [f.correction for f in findings if f.correction is not None]
         ranges = problem.limits.inputs if isinstance(problem, Problem) else None
@@ -258,7 +250,7 @@ def rank_axes(dataset: Dataset, problem: Problem | Model | None = None) -> tuple
     found = {"as read": 0.0}
     for one in chain(ways, turned):
         if one.correction.kind in _OF_AXES and len({units[n] for n in one.correction.signals}) == 1:
-            found[say_reading(one)] = evidence.gained(coarse, [one.correction])
+            found[words.say_reading(one)] = evidence.gained(coarse, [one.correction])
     return tuple(RankedAxes(*one) for one in sorted(found.items(), key=lambda one: -one[1]))
 
 
@@ -289,11 +281,11 @@ def _related(
     fixes = [*(one.correction for one in found), *(one.correction for one in ended.found)]
     mended = [undo(trace, fixes, equations) for trace in clean]
     ends = {trace.name: trace.ends for trace in clean}
-    log = Log(dataset.channels, equations, dataset.names, ends, _sensed(model.effects))
+    log = words.Log(dataset.channels, equations, dataset.names, ends, _sensed(model.effects))
     findings = [*map(log.reading, found)]
     findings += map(log.sized, (one for key, one in sized.items() if key not in known))
-    findings += clock_findings(mended, equations)
-    findings += misfit_finding(contrasts.unexplained(mended, equations), equations)
+    findings += words.clock_findings(mended, equations)
+    findings += words.misfit_finding(contrasts.unexplained(mended, equations), equations)
     faults = [_resized(one, steps.get(one), sized) for one in faults]
     return faults, findings, tuple(_balances(clean, mended, equations)), ended
 
@@ -376,7 +368,7 @@ def signal_check(dataset: Dataset) -> LogCheck:
     """
     began = perf_counter()
     faults, traces = screened([Trace.of(record, {}) for record in dataset])
-    findings = _ordered(screen_findings(dataset, traces, faults))
+    findings = _ordered(words.screen_findings(dataset, traces, faults))
     open_points = ("signals against each other: name the problem whose channels these are",)
     spent = perf_counter() - began
     return LogCheck(tuple(findings), dataset.names, unchecked=open_points, duration=spent)
@@ -416,7 +408,7 @@ def with_estimates(
     findings = _left(log, fit, records or fit.dataset, claimed, begun)
     for one in other_way(fit, begun) if fit.status.ok else ():
         row = {"says": one.text, "name": one.channel.name}
-        findings.append(said("other_way", (one.channel.name,), log.records, row))
+        findings.append(words.said("other_way", (one.channel.name,), log.records, row))
     findings += [*_far(fit, log.records), *scaled_inputs(fit), *between_runs(fit)]
     return replace(log, findings=tuple(_ordered(findings)))
 
@@ -492,7 +484,7 @@ def _far(fit: Fit, records: tuple[str, ...]) -> list[Finding]:
     }
     far = {name: size for name, size in away.items() if size > FAR}
     row = {"away": ", ".join(f"{name} ({size:.1f})" for name, size in far.items())}
-    return [said("far", tuple(far), records, row)] if far else []
+    return [words.said("far", tuple(far), records, row)] if far else []
 
 
 def _equations(dataset: Dataset, model: Model, traces: Sequence[Trace]) -> tuple[Relation, ...]:
@@ -519,9 +511,9 @@ def _asked(
 ) -> list[Judged]:
     """What was asked of every signal, from which size on it shows, or why it was not."""
     related, units = names_of(equations), units_of(traces)
-    kinds = ("bias", "scale", "delay", "rate", "drift", "step", *READ)
+    kinds = ("bias", "scale", "delay", "rate", "drift", "step", *words.READ)
     return [
-        judged_row(kind, name, units[name], ended, related=name in related)
+        words.judged_row(kind, name, units[name], ended, related=name in related)
         for name, kind in product(model.output_names, kinds)
         if name in units
     ]
@@ -534,16 +526,16 @@ def _shared(equations: tuple[Relation, ...], traces: Sequence[Trace]) -> tuple[s
     targets = ", ".join(r.target for r in equations if r.is_rate)
     positions = contrasts.positions_of(equations, units)
     velocities = ", ".join(contrasts.velocities_of(equations, units))
-    said = [
+    told = [
         (alone, f"No equation without unknown parameters relates {alone}."),
         (equations, f"Constant offsets of {targets}, and a delay common to all signals."),
-        *((True, words) for words in _either(equations, units)),
+        *((True, text) for text in _either(equations, units)),
         (positions, f"The sign of {', '.join(positions)} against those of {velocities} together."),
         (positions, "A bias of an attitude angle against a misalignment of the velocities."),
         (positions, "At a single speed: a bias of a velocity against its scale."),
         (len(positions) > 1, "On straight runs: a current against a bias of the velocities."),
     ]
-    return tuple(words for told, words in said if told)
+    return tuple(text for holds, text in told if holds)
 
 
 def _either(equations: tuple[Relation, ...], units: Mapping[str, str]) -> Iterator[str]:

@@ -416,7 +416,7 @@ def propose(study: Study, fit: FilteredSolution, *, n_refits: int = N_REFITS) ->
     n_refits : int
         How many terms to refit.
     """
-    first = term_scores(*let_in(fit, study.unit))
+    first = TermScores(*let_in(fit, study.unit))
     needed = threshold(len(first.scores), 1)
     chosen = first.representatives(n_refits)
     found = _refitted(study, fit, first.signals, chosen, needed)
@@ -425,7 +425,7 @@ def propose(study: Study, fit: FilteredSolution, *, n_refits: int = N_REFITS) ->
         # and its noise is small: seen from there, a rival may be better still.
         best = found[0].refit.fit
         again = let_in(fit, study.unit, best.values, best.noise)
-        second = term_scores(*again, first.signals)
+        second = TermScores(*again, first.signals)
         own = next((s.statistic for s in second.scores if s.term == found[0].term), 0.0)
         present = {proposal.term for proposal in found}
         rivals = [
@@ -486,22 +486,76 @@ class TermScore:
     distinct: float
 
 
-@dataclass(frozen=True, eq=False)
 class TermScores:
-    """Scores of all terms, largest statistic first.
+    """Scores of every term of the dictionary; those that free parameters imitate are left out.
+
+    Parameters
+    ----------
+    problem : Filtered
+        With a disturbance in every equation, and no level unknown.
+    unknowns : ndarray (n_unknowns,)
+        Where.
+    signals : Signals, optional
+        What terms are made of; by default along the filtered path.
 
     Attributes
     ----------
     scores : tuple of TermScore
+        Largest statistic first.
     likeness : ndarray (n_compared, n_compared)
         Correlation of the projected signatures of the first ones.
     signals : Signals
         What they are made of.
     """
 
-    scores: tuple[TermScore, ...]
-    likeness: np.ndarray
-    signals: Signals
+    def __init__(
+        self, problem: Filtered, unknowns: np.ndarray, signals: Signals | None = None
+    ) -> None:
+        passes, paths = smoothable(problem, unknowns)
+        if signals is None:
+            states = [part.path[:, problem.own] for part in passes]
+            signals = Signals(problem.model, problem.dataset, states)
+        dictionary = terms(problem.model, signals.signals)
+        matrix, right = problem.gathered(unknowns, passes)
+        limits = problem.limits
+        matrix = matrix + np.diag(limits.prior_weight)
+        right = right + limits.prior_weight * (limits.prior_mean - unknowns)
+        n_terms = len(dictionary)
+        cross, along = np.zeros((len(right), n_terms)), np.zeros(n_terms)
+        full, kept_rows = np.zeros(n_terms), []
+        for index, (part, path, scope) in enumerate(
+            zip(passes, paths, signals.values, strict=True)
+        ):
+            white = np.nan_to_num(part.innovations / np.sqrt(part.variances)).ravel()
+            own = rows_of(problem, unknowns, index, part.rows).reshape(len(white), -1)
+            rows = path.responses(_driven(problem, path, dictionary, scope)).reshape(len(white), -1)
+            cross[problem.layout.record_columns(index)] += own.T @ rows
+            along -= rows.T @ white
+            full += np.sum(rows**2, axis=0)
+            # Thousands of terms: single precision serves to tell which of them are alike.
+            kept_rows.append(rows.astype(np.float32))
+        # Known unknowns are projected out in an orthonormal basis of what the records see of them.
+        size = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), np.inf))
+        values, vectors = np.linalg.eigh(matrix / size[:, None] / size)
+        seen = values > 1e-11 * values.max()
+        basis = vectors[:, seen] / np.sqrt(values[seen]) / size[:, None]
+        step, shadow = basis.T @ right, basis.T @ cross
+        left = np.sqrt(np.maximum(full - np.sum(shadow**2, axis=0), 0.0))
+        usable = np.flatnonzero((left > ABSORBED * np.sqrt(full)) & (full > 0))
+        root = np.zeros(n_terms)
+        # Signed root of the score statistic: its square is chi-squared of one degree of freedom.
+        root[usable] = (along - shadow.T @ step)[usable] / left[usable]
+        order = usable[np.argsort(-(root[usable] ** 2))]
+        first = order[:60]  # likeness of the strongest is looked at
+        likeness = (
+            sum((rows[:, first].T @ rows[:, first]).astype(float) for rows in kept_rows)
+            - shadow[:, first].T @ shadow[:, first]
+        )
+        columns = (root**2, root / np.maximum(left, 1e-300), 1.0 / np.maximum(left, 1e-300))
+        facts = np.array([*columns, left / np.sqrt(np.maximum(full, 1e-300))]).T
+        self.scores = tuple(TermScore(dictionary[i], *map(float, facts[i])) for i in order)
+        self.likeness = likeness / left[first][:, None] / left[first]
+        self.signals = signals
 
     def representatives(self, count: int) -> list[tuple[TermScore, tuple[str, ...]]]:
         """The best terms that differ; of those that are alike, the simplest stands for all."""
@@ -518,67 +572,6 @@ class TermScores:
             first, *others = sorted(scores, key=lambda s: s.term.complexity - s.statistic)
             found.append((first, tuple(one.term.text for one in others)))
         return found
-
-
-def term_scores(
-    problem: Filtered, unknowns: np.ndarray, signals: Signals | None = None
-) -> TermScores:
-    """Score every term of the dictionary; those that free parameters imitate are left out.
-
-    Parameters
-    ----------
-    problem : Filtered
-        With a disturbance in every equation, and no level unknown.
-    unknowns : ndarray (n_unknowns,)
-        Where.
-    signals : Signals, optional
-        What terms are made of; by default along the filtered path.
-    """
-    passes, paths = smoothable(problem, unknowns)
-    if signals is None:
-        states = [part.path[:, problem.own] for part in passes]
-        signals = Signals(problem.model, problem.dataset, states)
-    dictionary = terms(problem.model, signals.signals)
-    matrix, right = problem.gathered(unknowns, passes)
-    limits = problem.limits
-    matrix = matrix + np.diag(limits.prior_weight)
-    right = right + limits.prior_weight * (limits.prior_mean - unknowns)
-    n_terms = len(dictionary)
-    cross, along = np.zeros((len(right), n_terms)), np.zeros(n_terms)
-    full, kept_rows = np.zeros(n_terms), []
-    for index, (part, path, scope) in enumerate(zip(passes, paths, signals.values, strict=True)):
-        white = np.nan_to_num(part.innovations / np.sqrt(part.variances)).ravel()
-        own = rows_of(problem, unknowns, index, part.rows).reshape(len(white), -1)
-        rows = path.responses(_driven(problem, path, dictionary, scope)).reshape(len(white), -1)
-        cross[problem.layout.record_columns(index)] += own.T @ rows
-        along -= rows.T @ white
-        full += np.sum(rows**2, axis=0)
-        # Thousands of terms: single precision serves to tell which of them are alike.
-        kept_rows.append(rows.astype(np.float32))
-    # Known unknowns are projected out in an orthonormal basis of what the records see of them.
-    size = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), np.inf))
-    values, vectors = np.linalg.eigh(matrix / size[:, None] / size)
-    seen = values > 1e-11 * values.max()
-    basis = vectors[:, seen] / np.sqrt(values[seen]) / size[:, None]
-    step, shadow = basis.T @ right, basis.T @ cross
-    left = np.sqrt(np.maximum(full - np.sum(shadow**2, axis=0), 0.0))
-    usable = np.flatnonzero((left > ABSORBED * np.sqrt(full)) & (full > 0))
-    root = np.zeros(n_terms)
-    # Signed root of the score statistic: its square is chi-squared of one degree of freedom.
-    root[usable] = (along - shadow.T @ step)[usable] / left[usable]
-    order = usable[np.argsort(-(root[usable] ** 2))]
-    first = order[:60]  # likeness of the strongest is looked at
-    likeness = (
-        sum((rows[:, first].T @ rows[:, first]).astype(float) for rows in kept_rows)
-        - shadow[:, first].T @ shadow[:, first]
-    )
-    columns = (root**2, root / np.maximum(left, 1e-300), 1.0 / np.maximum(left, 1e-300))
-    facts = np.array([*columns, left / np.sqrt(np.maximum(full, 1e-300))]).T
-    return TermScores(
-        tuple(TermScore(dictionary[i], *map(float, facts[i])) for i in order),
-        likeness / left[first][:, None] / left[first],
-        signals,
-    )
 
 
 def _driven(
