@@ -40,7 +40,6 @@ from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Input, State
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime import display
-from oed_sysid.runtime.display import as_dict, digits
 from oed_sysid.runtime.threads import single_threaded
 from oed_sysid.text.units import shown_unit
 
@@ -79,8 +78,8 @@ class ModelMisfit:
         ahead, words = self.forecasts, []
         if ahead.n_forecasts:
             words.append(
-                f"{ahead.horizon:g} s ahead: {digits(ahead.overall, 3)} x what a right model would "
-                f"leave ({ahead.n_forecasts} forecasts)"
+                f"{ahead.horizon:g} s ahead: {display.digits(ahead.overall, 3)} x what a right "
+                f"model would leave ({ahead.n_forecasts} forecasts)"
             )
         if ahead.failed:
             words.append(f"{ahead.failed} of the forecasts diverged.")
@@ -446,11 +445,11 @@ def _table(part: ModelMisfit) -> display.Table:
                 output.output.name,
                 f"{factor * output.rmse:.3g}",
                 unit,
-                digits(output.relative, 3),
+                display.digits(output.relative, 3),
                 f"{100 * output.coverage:.0f} %",
                 f"{output.effective_samples:.0f}",
                 f"{output.n_samples}",
-                digits(ahead, 3) if output.in_time else "-",
+                display.digits(ahead, 3) if output.in_time else "-",
                 f"{output.worst[3]:.2g} in {output.where}" if output.where else "",
             )
         )
@@ -617,7 +616,7 @@ class Forecasts:
     expected: tuple[np.ndarray, ...]
     failed: int
 
-    to_dict = as_dict("horizon", "n_forecasts", "failed", "rmse", "relative", "overall")
+    to_dict = display.as_dict("horizon", "n_forecasts", "failed", "rmse", "relative", "overall")
 
     @property
     def n_forecasts(self) -> int:

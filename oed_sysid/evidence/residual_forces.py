@@ -77,17 +77,14 @@ def let_in(
     old, noise = fit.problem, fit.noise if noise is None else noise
     known = dict(zip(unit.places, unit.force, strict=True))
     more = [place for place in unit.places if place not in noise.places]
+    places = (*noise.places, *more)
+    least = np.array([LEAST_FORCE * known.get(place, 0.0) for place in places])
     noise = replace(  # a sea, or noise of a logged input, stands in the place of forces
         noise,
-        force=np.append(noise.force, np.zeros(len(more))),
-        force_time=np.append(noise.force_time, [unit.level(place)[1] for place in more]),
-        places=(*noise.places, *more),
-    )
-    least = np.array([LEAST_FORCE * known.get(place, 0.0) for place in noise.places])
-    noise = replace(
-        noise,
         white=np.maximum(noise.white, LEAST_WHITE * unit.white),
-        force=np.maximum(noise.force, least),
+        force=np.maximum(np.append(noise.force, np.zeros(len(more))), least),
+        force_time=np.append(noise.force_time, [unit.level(place)[1] for place in more]),
+        places=places,
     )
     model = old.model.with_values(
         {name: value for name, value in (values or fit.values).items() if name in old.model.values}
