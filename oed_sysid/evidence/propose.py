@@ -424,7 +424,7 @@ def propose(study: Study, fit: FilteredSolution, *, n_refits: int = N_REFITS) ->
         # Parameters bend to what is missing. With the best term they have straightened,
         # and its noise is small: seen from there, a rival may be better still.
         best = found[0].refit.fit
-        again = let_in(fit, study.unit, best.values, best.noise)
+        again = let_in(fit, study.unit, best)
         second = TermScores(*again, first.signals)
         own = next((s.statistic for s in second.scores if s.term == found[0].term), 0.0)
         present = {proposal.term for proposal in found}

@@ -15,7 +15,7 @@ through the same projection and the same smoother before it is compared with it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,10 +58,7 @@ class Series:
 
 
 def let_in(
-    fit: FilteredSolution,
-    unit: NoiseModel,
-    values: Mapping[str, float] | None = None,
-    noise: NoiseModel | None = None,
+    fit: FilteredSolution, unit: NoiseModel, near: FilteredSolution | None = None
 ) -> tuple[Filtered, np.ndarray]:
     """The likelihood of a fit with a force in every equation, however small, and its unknowns.
 
@@ -70,11 +67,11 @@ def let_in(
     fit : FilteredSolution
     unit : NoiseModel
         Natural size of every level.
-    values : mapping, optional
-        Parameters, and ``noise`` of the same places, in place of the fit's.
-    noise : NoiseModel, optional
+    near : FilteredSolution, optional
+        Its parameters, and its noise of the same places, take those of the fit's place.
     """
-    old, noise = fit.problem, fit.noise if noise is None else noise
+    old, near = fit.problem, near or fit
+    noise = near.noise
     known = dict(zip(unit.places, unit.force, strict=True))
     more = [place for place in unit.places if place not in noise.places]
     places = (*noise.places, *more)
@@ -87,7 +84,7 @@ def let_in(
         places=places,
     )
     model = old.model.with_values(
-        {name: value for name, value in (values or fit.values).items() if name in old.model.values}
+        {name: value for name, value in near.values.items() if name in old.model.values}
     )
     problem = Filtered(
         model,

@@ -229,6 +229,15 @@ def _units(model: Model) -> dict[str, str]:
     return {state.name: state.unit for state in model.states}
 
 
+def _sized(model: Model, sizes: Sizes) -> Iterator[tuple[str, str, float]]:
+    """Equations with their states and typical forces, where these are above zero."""
+    for equation in sizes.mobility:
+        state = model.axes.get(equation, equation)
+        size = SHARE * sizes.force(equation, state)
+        if size > 0:
+            yield equation, state, size
+
+
 def _forces(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Terms of every equation that may lack one, absent."""
     units = _units(model) | {channel.name: channel.unit for channel in model.inputs}
@@ -238,11 +247,7 @@ def _forces(model: Model, sizes: Sizes) -> Iterator[Effect]:
     units |= commands
     levels = {through.get(name, name): level for name, level in sizes.level.items()}
     taken = {name.removesuffix("_prime") for name in model.free_names}
-    for equation in sizes.mobility:
-        state = model.axes.get(equation, equation)
-        size = SHARE * sizes.force(equation, state)
-        if not size > 0:
-            continue
+    for equation, state, size in _sized(model, sizes):
         for word, factors in _products(model, equation, state, through, commands):
             text = product_text(factors) or "1"
             level = prod(levels.get(name, 0.0) for name, _ in factors)
@@ -277,10 +282,8 @@ class _Equation:
 def _equations(model: Model, sizes: Sizes) -> Iterator[_Equation]:
     """Equations that may lack a force; coordinates that merely integrate a velocity do not."""
     units, still = _units(model), cyclic(model)
-    for name in sizes.mobility:
-        state = model.axes.get(name, name)
-        size = SHARE * sizes.force(name, state)
-        if not size > 0 or state in still:
+    for name, state, size in _sized(model, sizes):
+        if state in still:
             continue
         moment = "N m" if name in ("K", "M", "N") else "N"
         load = moment if model.axes else str((dimension(units[state]) / dimension("s")).plain)
