@@ -918,8 +918,10 @@ class _Part(Kernel):
         values: np.ndarray,
         nodes: np.ndarray,
         *,
+        starts: np.ndarray | None = None,
+        carry: bool = False,
         sensitivities: bool = False,
-        **segments: Any,
+        n_columns: int | None = None,
     ) -> Run:
         wide, values, nodes = self._wide, self._widened(values), np.atleast_2d(nodes)
         first, _ = wide.start(nodes[0, : self.n_own], inputs[0], values, times[0])
@@ -930,7 +932,9 @@ class _Part(Kernel):
         columns[self._free] = wide.n_full + np.arange(self.n_free)
         width = wide.n_full + self.n_free if sensitivities else 0
         call(self._select, width, columns)
-        found = wide.run(times, inputs, values, z, n_columns=width or None, **segments)
+        found = wide.run(
+            times, inputs, values, z, starts=starts, carry=carry, n_columns=width or None
+        )
         kept = [*self._own, *range(wide.n_full, width)]
         by_start, by_end = found.output_sensitivities, found.end_sensitivities
         found = replace(found, states=found.states[:, self._own], ends=found.ends[:, self._own])

@@ -252,7 +252,7 @@ def _result(
         remains=_whole(end.left, fits[-1], study.validation, log),
         parameters=parameter_table(fits[-1]),
         base_rms=rms[0],
-        yardstick=Yardstick(study.train, study.validation, sigma),
+        yardstick=Yardstick.of(study.train, study.validation, sigma),
         rejected=_rejected(state),
         proposed=()
         if end.proposals is None

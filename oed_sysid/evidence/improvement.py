@@ -20,6 +20,7 @@ from oed_sysid.evidence.remainder import Remains
 from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
 from oed_sysid.likelihood.noise_levels import signal_spread
 from oed_sysid.physics import Effect
+from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.words import in_words
@@ -37,22 +38,29 @@ Errors = Mapping[str, np.ndarray]
 UNCONFIRMED = "The misfit is more than noise, and no candidate is confirmed."
 
 
+@dataclass(frozen=True, eq=False)
 class Yardstick:
-    """What errors are compared with, of training and validation records.
+    """What errors are compared with.
 
     Attributes
     ----------
     outputs : tuple of Output
     sigma : ndarray (n_outputs,)
         Noise levels.
-    spread : dict
-        Standard deviation of each signal over the records that there are.
+    spread : Errors
+        Standard deviation of each signal over training and validation records.
     """
 
-    def __init__(self, train: Dataset, test: Dataset | None, sigma: np.ndarray) -> None:
-        self.outputs, self.sigma = train.channels.outputs, sigma
+    outputs: tuple[Output, ...]
+    sigma: np.ndarray
+    spread: Errors
+
+    @classmethod
+    def of(cls, train: Dataset, test: Dataset | None, sigma: np.ndarray) -> Yardstick:
+        """Yardstick of training and validation records, each with the spread of its own signals."""
         parts = {"train": train, "test": test}
-        self.spread = {name: signal_spread(part) for name, part in parts.items() if part}
+        spread = {name: signal_spread(part) for name, part in parts.items() if part}
+        return cls(train.channels.outputs, sigma, spread)
 
     def table(self, before: Errors, after: Errors | None) -> display.Table:
         """Errors of the nominal and the improved model, in units and per cent of the signal."""
