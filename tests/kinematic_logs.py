@@ -7,7 +7,7 @@ ten times finer than they are sampled.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,25 +93,19 @@ class Fault:
     other: str = ""
 
 
-def motions(vehicle: Vehicle, rng: np.random.Generator) -> list[dict[str, np.ndarray]]:
-    """Return true signals on the fine grid, one set for each speed."""
-    n = round(vehicle.duration / vehicle.step) * FINE + 1
-    return [vehicle.motion(speed, n, vehicle.step / FINE, rng) for speed in SPEEDS]
-
-
 def log(
-    vehicle: Vehicle,
-    truth: Sequence[dict[str, np.ndarray]],
-    faults: Sequence[Fault],
-    colour: float,
-    rng: np.random.Generator,
+    vehicle: Vehicle, *faults: Fault, seed: int | tuple[int, ...] = 0, colour: float = 0.0
 ) -> Dataset:
-    """Return what would have been logged: faults, sampling, noise with correlation ``colour``."""
-    records = []
+    """Return what would have been logged: faults, sampling, noise with correlation ``colour``.
+
+    One record for each speed, of motions that are random.
+    """
+    rng = np.random.default_rng(seed)
+    n = round(vehicle.duration / vehicle.step) * FINE + 1
     dt = vehicle.step / FINE
-    for number, signals in enumerate(truth):
-        here = dict(signals)
-        fine = np.arange(here["u"].size) * dt
+    fine = np.arange(n) * dt
+    records = []
+    for number, here in enumerate([vehicle.motion(speed, n, dt, rng) for speed in SPEEDS]):
         for fault in faults:
             if fault.kind == "lever":
                 here[fault.signals[0]] = here[fault.signals[0]] + fault.size * here[fault.other]
@@ -133,6 +127,11 @@ def log(
         inputs = np.zeros((matrix.shape[0], 1))
         records.append(Record(f"run_{number}", times[rows], inputs, matrix, vehicle.model.channels))
     return Dataset(tuple(records))
+
+
+def pair(vehicle: Vehicle, *faults: Fault) -> Dataset:
+    """Return the first two records of a log."""
+    return Dataset(log(vehicle, *faults).records[:2])
 
 
 def match(found: LogCheck, fault: Fault):  # type: ignore[no-untyped-def]

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kinematic_logs import DIVER, SHIP, Fault, Vehicle, log, match, motions
+from altered import altered, trials
+from kinematic_logs import DIVER, SHIP, Fault, Vehicle, log, match, pair
 from marks import slow
 from scipy.fft import dct
 from scipy.signal import lfilter
@@ -51,22 +52,8 @@ from oed_sysid.physics.parameters import Parameter
 def dives() -> tuple:
     """Three simulated runs of the diving plane with declared noise, and their problem."""
     problem = load_problem("remus_diving_plane")
-    rng = np.random.default_rng(4)
-    names = ("zigzag_5_5", "zigzag_10_10", "steps")
-    runs = tuple(simulate(problem.model, problem.experiments[n], rng=rng) for n in names)
-    return problem, Dataset(runs)
-
-
-def diving_log(*faults: Fault, seed: int = 0, colour: float = 0.0, n_records: int = 3) -> Dataset:
-    """A log of the diving plane with faults."""
-    rng = np.random.default_rng(seed)
-    return log(DIVER, motions(DIVER, rng)[:n_records], faults, colour, rng)
-
-
-def ship_log(*faults: Fault, seed: int = 0, colour: float = 0.0) -> Dataset:
-    """A log of a ship with faults."""
-    rng = np.random.default_rng(seed)
-    return log(SHIP, motions(SHIP, rng), faults, colour, rng)
+    runs = [problem.experiments[n] for n in ("zigzag_5_5", "zigzag_10_10", "steps")]
+    return problem, trials(problem.model, runs, 4)
 
 
 # Copies of which `make test` checks one of each way to find a fault, in one record; signs, columns,
@@ -152,24 +139,25 @@ def test_corrected_copy_is_clean(dives, judged, tmp_path, name: str) -> None:  #
 # -- sizes -----------------------------------------------------------------------------------
 
 SIZED = [
-    (diving_log, Fault("bias", ("q",), 0.006)),
-    (diving_log, Fault("lever", ("w",), 0.5, "q")),
+    (DIVER, Fault("bias", ("q",), 0.006)),
+    (DIVER, Fault("lever", ("w",), 0.5, "q")),
     *slow(
-        (ship_log, Fault("scale", ("u",), 0.04)),
-        (ship_log, Fault("delay", ("x", "y"), 0.8)),
-        (diving_log, Fault("scale", ("u",), -0.05)),
-        (diving_log, Fault("delay", ("z",), 0.6)),
-        (ship_log, Fault("bias", ("v",), 0.1)),
-        (ship_log, Fault("lever", ("v",), -4.0, "r")),
+        (SHIP, Fault("scale", ("u",), 0.04)),
+        (SHIP, Fault("delay", ("x", "y"), 0.8)),
+        (DIVER, Fault("scale", ("u",), -0.05)),
+        (DIVER, Fault("delay", ("z",), 0.6)),
+        (SHIP, Fault("bias", ("v",), 0.1)),
+        (SHIP, Fault("lever", ("v",), -4.0, "r")),
     ),
 ]
 
 
-@pytest.mark.parametrize(("make", "fault"), SIZED, ids=lambda x: getattr(x, "kind", ""))
-def test_size_of_a_fault_lies_within_four_standard_deviations(make, fault: Fault) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.parametrize(("vehicle", "fault"), SIZED, ids=lambda x: getattr(x, "kind", ""))
+def test_size_of_a_fault_lies_within_four_standard_deviations(
+    vehicle: Vehicle, fault: Fault
+) -> None:
     """A fault of one size is the only finding, and its interval is not far from the truth."""
-    vehicle = DIVER if make is diving_log else SHIP
-    found = check(make(fault), vehicle.model, inputs=False)
+    found = check(log(vehicle, fault), vehicle.model, inputs=False)
     one = match(found, fault)
     assert len(found.serious) == 1
     assert one is not None
@@ -183,7 +171,7 @@ def test_size_of_a_fault_lies_within_four_standard_deviations(make, fault: Fault
 @pytest.mark.slow
 def test_lag_of_all_but_the_positions_is_said_of_them() -> None:
     """Positions that come first mean that everything else is late."""
-    found = check(ship_log(Fault("delay", ("u", "v", "psi", "r"), 0.9)), SHIP.model, inputs=False)
+    found = check(log(SHIP, Fault("delay", ("u", "v", "psi", "r"), 0.9)), SHIP.model, inputs=False)
     one = found.serious[0]
     assert len(found.serious) == 1
     assert set(one.signals) == {"u", "v", "psi", "r"}
@@ -192,14 +180,12 @@ def test_lag_of_all_but_the_positions_is_said_of_them() -> None:
 
 def test_bias_of_pitch_and_misalignment_are_one_group() -> None:
     """What kinematics cannot tell apart is named as a group."""
-    data = diving_log(n_records=2)
-    records = []
-    for record in data:
-        u, w = record.output("u"), record.output("w")
-        columns = dict(zip(record.channels.output_names, record.outputs.T, strict=True))
-        columns |= {"u": u - 0.04 * w, "w": w + 0.04 * u}
-        records.append(record.with_outputs(np.column_stack(list(columns.values()))))
-    found = check(Dataset(tuple(records)), DIVER.model, inputs=False)
+    data = altered(
+        pair(DIVER),
+        u=lambda record: record.output("u") - 0.04 * record.output("w"),
+        w=lambda record: record.output("w") + 0.04 * record.output("u"),
+    )
+    found = check(data, DIVER.model, inputs=False)
     assert len(found.serious) == 1
     text = " ".join((found.serious[0].name, *found.serious[0].alternatives))
     assert "bias" in text
@@ -210,21 +196,11 @@ def test_bias_of_pitch_and_misalignment_are_one_group() -> None:
 def test_sensor_effect_of_the_model_is_no_alarm() -> None:
     """A bias that the model allows for is told, but does not make the log suspect."""
     model = DIVER.model + sensor_bias("bias_q", "q", "rad/s", scale=0.01)
-    data = diving_log(Fault("bias", ("q",), 0.008), n_records=2)
+    data = pair(DIVER, Fault("bias", ("q",), 0.008))
     records = tuple(replace(record, channels=model.channels) for record in data)
     found = check(Dataset(records), model, inputs=False)
     assert found.ok
     assert found.named("bias", "q") is not None
-
-
-def changed(data: Dataset, number: int, name: str, change) -> Dataset:  # type: ignore[no-untyped-def]
-    """A copy in which one output of one record is another; ``change(series, share)``."""
-    records = list(data.records)
-    outputs = records[number].outputs.copy()
-    column = outputs[:, data.channels.output_names.index(name)]
-    column[:] = change(column.copy(), np.linspace(0.0, 1.0, column.size))
-    records[number] = records[number].with_outputs(outputs)
-    return Dataset(tuple(records))
 
 
 LOCAL = [
@@ -238,7 +214,10 @@ LOCAL = [
 @pytest.mark.parametrize(("kind", "name", "size", "change"), LOCAL, ids=lambda x: str(x)[:6])
 def test_faults_of_one_record_are_named_there(kind, name, size, change) -> None:  # type: ignore[no-untyped-def]
     """A step, a drift, a burst and a scale in the second of three records, within a fifth."""
-    found = check(changed(diving_log(), 1, name, change), DIVER.model, inputs=False)
+    data = log(DIVER)
+    y = data[1].output(name)
+    spoilt = altered(data, 1, **{name: change(y, np.linspace(0.0, 1.0, y.size))})
+    found = check(spoilt, DIVER.model, inputs=False)
     one = found.serious[0]
     assert (one.kind, one.signals, one.records) == (kind, (name,), ("run_1",))
     assert one.size == pytest.approx(size, rel=0.2)
@@ -246,12 +225,12 @@ def test_faults_of_one_record_are_named_there(kind, name, size, change) -> None:
 
 def test_rate_of_a_clock_is_told_from_a_delay() -> None:
     """A depth whose clock runs one per cent slow: 0.9 s at the end, none at the beginning."""
-    data = diving_log(n_records=2)
-    for number in range(2):
-        times = data[number].times - data[number].times[0]
-        data = changed(
-            data, number, "z", lambda y, t, times=times: np.interp(0.99 * times, times, y)
-        )
+
+    def slow(record: Record) -> np.ndarray:
+        times = record.times - record.times[0]
+        return np.interp(0.99 * times, times, record.output("z"))
+
+    data = altered(pair(DIVER), z=slow)
     (one,) = check(data, DIVER.model, inputs=False).serious
     assert (one.kind, one.signals) == ("clock", ("z",))
     assert one.size == pytest.approx(0.01, abs=0.002)
@@ -259,17 +238,14 @@ def test_rate_of_a_clock_is_told_from_a_delay() -> None:
 
 def test_made_samples_are_told() -> None:
     """A depth that was joined by straight lines, and a column that was written twice."""
-    data = diving_log()
 
-    def joined(y: np.ndarray, t: np.ndarray) -> np.ndarray:
-        return np.interp(t, t[::5], y[::5])
+    def joined(record: Record) -> np.ndarray:
+        return np.interp(record.times, record.times[::5], record.output("z")[::5])
 
-    for number in range(3):
-        data = changed(data, number, "z", joined)
-    (one,) = check(data, DIVER.model, inputs=False).serious
+    (one,) = check(altered(log(DIVER), z=joined), DIVER.model, inputs=False).serious
     assert (one.kind, one.signals) == ("interpolated", ("z",))
     assert one.size == pytest.approx(0.5, abs=0.02)
-    twice = changed(diving_log(), 0, "w", lambda y, t: diving_log()[0].output("u").copy())
+    twice = altered(log(DIVER), 0, w=lambda record: record.output("u"))
     assert check(twice, DIVER.model, inputs=False).serious[0].kind == "copied"
 
 
@@ -303,7 +279,7 @@ def test_a_fit_counts_what_was_measured() -> None:
 
 def test_what_was_tested_is_said() -> None:
     """Every signal and fault has a row; sizes are those that a fault of that size shows from."""
-    found = check(diving_log(n_records=2), DIVER.model)
+    found = check(pair(DIVER), DIVER.model)
     rows = {(one.fault, one.signal): one for one in found.judged}
     assert rows["bias", "q"].state == "tested"
     assert rows["bias", "z"].state == "not tested"
@@ -311,13 +287,13 @@ def test_what_was_tested_is_said() -> None:
     assert rows["sign", "fin"].state == "not tested"
     assert "fin" in found.verdict
     assert "What was tested" in found.report()
-    spoilt = check(diving_log(Fault("bias", ("q",), 0.006), n_records=2), DIVER.model)
+    spoilt = check(pair(DIVER, Fault("bias", ("q",), 0.006)), DIVER.model)
     assert {(o.fault, o.signal) for o in spoilt.judged if o.state == "found"} == {("bias", "q")}
 
 
 def test_an_input_in_degrees_is_beyond_its_limit() -> None:
     """Degrees under rad are named even where no parameter has a prior to hold them against."""
-    data = diving_log()
+    data = log(DIVER)
     fin = 0.3 * np.sign(np.sin(0.3 * data[0].times))[:, None]
     right = Dataset(tuple(replace(r, inputs=fin) for r in data))
     wrong = Dataset(tuple(replace(r, inputs=np.degrees(fin)) for r in data))
@@ -371,7 +347,7 @@ def test_a_kink_is_no_spike() -> None:
 
 def test_copy_of_a_record_is_recognised_when_shifted_and_thinned() -> None:
     """The same samples under another name, time and rate are a copy."""
-    data = diving_log()
+    data = log(DIVER)
     first = data[0]
     copy = replace(first.thin(3).rename("another"), times=first.thin(3).times + 1000.0)
     found = check(Dataset((*data.records, copy)), DIVER.model, inputs=False)
@@ -382,7 +358,7 @@ def test_copy_of_a_record_is_recognised_when_shifted_and_thinned() -> None:
 
 def test_step_of_the_clock_is_told_from_a_gap() -> None:
     """Missing time changes the position; a clock that was set does not."""
-    data = diving_log()
+    data = log(DIVER)
     record = data[0]
     later = record.times + np.where(np.arange(record.n_samples) >= 400, 5.0, 0.0)
     jumped = Dataset((replace(record, times=later), *data.records[1:]))
@@ -453,12 +429,7 @@ PUBLISHED = ("auv_diving_plane", "nomoto_sparse_heading", "online_ship", "sailbo
 def published_log(name: str) -> tuple[Problem, Dataset]:
     """What the truth of a problem logs in its experiments."""
     problem = load_problem(name)
-    model, runs = problem.true_model(), problem.experiments.values()
-    records = [
-        simulate(model, run, rng=np.random.default_rng((0, number)), name=run.name)
-        for number, run in enumerate(runs)
-    ]
-    return problem, Dataset(tuple(records))
+    return problem, trials(problem.true_model(), problem.experiments.values(), (0,))
 
 
 @pytest.mark.parametrize("name", [*PUBLISHED, *slow("catamaran", "remus_6dof")])
@@ -476,15 +447,9 @@ def test_the_published_vehicles_log_nothing_wrong(name: str) -> None:
 def test_beside_fast_answers_faults_are_found() -> None:
     """Spikes anywhere, a wrong scale and a wrong sign of the same roll rate are named."""
     problem, data = published_log("sailboat")
-    here = problem.model.output_names.index("p")
 
     def with_rate(change) -> LogCheck:  # type: ignore[no-untyped-def]
-        runs = []
-        for record in data:
-            outputs = record.outputs.copy()
-            outputs[:, here] = change(outputs[:, here])
-            runs.append(record.with_outputs(outputs))
-        return check(Dataset(tuple(runs)), problem)
+        return check(altered(data, p=lambda record: change(record.output("p"))), problem)
 
     rows = np.arange(37, 500, 50)  # in the middle between steps of the sheet
     spoilt = with_rate(lambda p: p + 0.5 * np.isin(np.arange(p.size), rows))
@@ -508,8 +473,7 @@ def test_clean_logs_raise_no_alarm(vehicle, colour: float) -> None:  # type: ign
     """At most one of forty clean logs is called suspect."""
     alarms = 0
     for seed in range(40):
-        rng = np.random.default_rng((21, seed))
-        data = log(vehicle, motions(vehicle, rng), (), colour, rng)
+        data = log(vehicle, seed=(21, seed), colour=colour)
         alarms += check(data, vehicle.model, inputs=False).suspect
     assert alarms <= 1
 
@@ -519,11 +483,12 @@ def test_intervals_hold() -> None:
     """Of forty fitted biases and lever arms at least 34 lie in their 95 % interval."""
     held = 0
     for seed in range(20):
-        for make, vehicle, fault in (
-            (diving_log, DIVER, Fault("bias", ("q",), 0.006)),
-            (ship_log, SHIP, Fault("lever", ("v",), 4.0, "r")),
+        for vehicle, fault in (
+            (DIVER, Fault("bias", ("q",), 0.006)),
+            (SHIP, Fault("lever", ("v",), 4.0, "r")),
         ):
-            one = match(check(make(fault, seed=seed), vehicle.model, inputs=False), fault)
+            found = check(log(vehicle, fault, seed=seed), vehicle.model, inputs=False)
+            one = match(found, fault)
             held += one is not None and one.interval[0] < fault.size < one.interval[1]
     assert held >= 34
 
@@ -596,26 +561,20 @@ TWO = ("zigzag_5_5", "zigzag_10_10")
 def dives_inputs() -> tuple[Problem, Dataset]:
     """Four simulated runs of the diving plane, and their problem."""
     problem = load_problem("remus_diving_plane")
-    runs = [
-        simulate(problem.model, run, rng=np.random.default_rng((0, k)), name=name)
-        for k, (name, run) in enumerate(problem.experiments.items())
-    ]
-    return problem, Dataset(tuple(runs))
+    return problem, trials(problem.model, problem.experiments.values(), (0,))
 
 
-def with_dead(record: Record, name: str) -> Record:
-    """A copy in which a sensor shows its first value for ever."""
-    outputs = record.outputs.copy()
-    column = record.channels.output_names.index(name)
-    outputs[:, column] = outputs[0, column]
-    return record.with_outputs(outputs)
+def with_dead(data: Dataset, name: str, *numbers: int) -> Dataset:
+    """Copies in which a sensor shows its first value for ever."""
+    first = {name: lambda record: np.full(record.n_samples, record.output(name)[0])}
+    return altered(data, *numbers, **first)
 
 
 @pytest.mark.parametrize("name", ["u", "q", *slow("w", "theta", "z")])
 def test_a_dead_output_is_the_only_finding(dives_inputs, name: str) -> None:  # type: ignore[no-untyped-def]
     """The inputs are judged without it, or not at all; nothing is singular."""
     problem, data = dives_inputs
-    found = check(Dataset(tuple(with_dead(record, name) for record in data)), problem)
+    found = check(with_dead(data, name), problem)
     assert [(one.kind, one.signals) for one in found.serious] == [("dead", (name,))]
 
 
@@ -627,13 +586,13 @@ def test_records_without_the_speed_are_left_out_of_the_judgement(dives_inputs) -
     """
     problem, data = dives_inputs[0], Dataset([dives_inputs[1][name] for name in TWO])
     fin = np.array(problem.model.input_names) == "fin_command"
-    turned = [replace(r, inputs=np.where(fin, -r.inputs, r.inputs)) for r in data]
-    one = check(Dataset((with_dead(turned[0], "u"), *turned[1:])), problem)
+    turned = Dataset([replace(r, inputs=np.where(fin, -r.inputs, r.inputs)) for r in data])
+    one = check(with_dead(turned, "u", 0), problem)
     assert {(f.kind, f.signals) for f in one.serious} == {
         ("dead", ("u",)),
         ("sign", ("fin_command",)),
     }
-    every = check(Dataset(tuple(with_dead(record, "u") for record in turned)), problem)
+    every = check(with_dead(turned, "u"), problem)
     assert [f.kind for f in every.serious] == ["dead"]
     assert any(line.startswith("Signs and units of inputs") for line in every.unchecked)
 
@@ -755,9 +714,8 @@ def test_a_command_in_place_of_the_feedback_is_a_lag(kind: str, act) -> None:  #
 def test_noise_of_the_states_is_no_fault_of_an_input() -> None:
     """Coefficients of a noisy sway velocity come out too small: rudders are no stronger for it."""
     problem = load_problem("remus_6dof")
-    rng = np.random.default_rng(0)
-    runs = (simulate(problem.model, e, rng=rng, name=n) for n, e in problem.experiments.items())
-    assert check(Dataset(tuple(runs)), problem).findings == ()
+    data = trials(problem.model, problem.experiments.values(), 0)
+    assert check(data, problem).findings == ()
 
 
 @pytest.mark.parametrize("logged", [0.5, 1.0, 2.0])
@@ -840,11 +798,10 @@ def test_physics_that_was_claimed_answers_what_its_lack_made_of_an_input(
         Force("moment", {"M": t}, (size,), amplitudes=("e",)) for t in ("e*w**3", term)
     )
     truth = (problem.model + hidden).with_values({"e": -480.0})
-    rng = np.random.default_rng(4)
-    runs = [simulate(truth, problem.experiments[r.name], rng=rng, name=r.name) for r in data]
-    log = check(Dataset(runs), problem.model)
+    runs = trials(truth, [problem.experiments[r.name] for r in data], 4)
+    log = check(runs, problem.model)
     assert ("fin_command",) in [one.signals for one in log.serious]
-    fit = MultipleShooting(disturbances="none").fit(problem.model + claimed, Dataset(runs))
+    fit = MultipleShooting(disturbances="none").fit(problem.model + claimed, runs)
     left = [one.signals for one in with_estimates(log, fit, [claimed]).serious]
     assert (("fin_command",) not in left) is answers
 
@@ -863,14 +820,10 @@ def test_a_guess_says_where_it_is_lost(dives_inputs) -> None:  # type: ignore[no
 
 def spoilt(vehicle: Vehicle, seed: int, sizes: dict[int, tuple[str, float]]) -> Dataset:
     """A log in which signals have constant errors, by record."""
-    rng = np.random.default_rng(seed)
-    data = log(vehicle, motions(vehicle, rng), (), 0.0, rng)
-    records = list(data.records)
+    data = log(vehicle, seed=seed)
     for number, (name, size) in sizes.items():
-        outputs = records[number].outputs.copy()
-        outputs[:, data.channels.output_names.index(name)] += size
-        records[number] = records[number].with_outputs(outputs)
-    return Dataset(tuple(records))
+        data = altered(data, number, **{name: data[number].output(name) + size})
+    return data
 
 
 @pytest.mark.parametrize(
@@ -996,7 +949,7 @@ def test_six_degrees_of_freedom_follow_from_standard_names() -> None:
 
 def test_spare_columns_are_used(tmp_path) -> None:  # type: ignore[no-untyped-def]
     """A heading model checks the positions and speeds that its files hold beside it."""
-    data = Dataset(ship_log(Fault("scale", ("u",), 0.06)).records[:2])
+    data = pair(SHIP, Fault("scale", ("u",), 0.06))
     heading = Model(
         "heading",
         states=(State("psi", "rad"), State("r", "rad/s")),
@@ -1019,17 +972,14 @@ def test_spare_columns_are_used(tmp_path) -> None:  # type: ignore[no-untyped-de
 
 def test_missing_and_sparse_signals_are_no_faults() -> None:
     """Outputs at a slower rate and gaps of an output do not raise alarms."""
-    records = []
-    for record in ship_log():
-        outputs = np.array(record.outputs)
-        for name, every in (("x", 4), ("y", 4), ("u", 2)):
-            column = record.channels.output_names.index(name)
-            keep = np.zeros(record.n_samples, dtype=bool)
-            keep[::every] = True
-            outputs[~keep, column] = np.nan
-        outputs[300:420, record.channels.output_names.index("psi")] = np.nan
-        records.append(record.with_outputs(outputs))
-    assert check(Dataset(tuple(records)), SHIP.model, inputs=False).ok
+    data = log(SHIP)
+    row = np.arange(data[0].n_samples)
+    lost = {name: row % every > 0 for name, every in (("x", 4), ("y", 4), ("u", 2))}
+    lost["psi"] = (row >= 300) & (row < 420)
+    for number, record in enumerate(data):
+        left = {name: np.where(gone, np.nan, record.output(name)) for name, gone in lost.items()}
+        data = altered(data, number, **left)
+    assert check(data, SHIP.model, inputs=False).ok
 
 
 def test_log_without_equations_says_so() -> None:
@@ -1068,14 +1018,11 @@ def test_signs_and_axes_are_ranked(
     problem: Model | None, fault: dict[str, tuple[str, float]], undone: str
 ) -> None:
     """The way in which signals agree stands first, whatever was done to their axes."""
-    records = []
-    for record in ship_log():
-        names = record.channels.output_names
-        outputs = record.outputs.copy()
-        for name, (other, sign) in fault.items():
-            outputs[:, names.index(name)] = sign * record.output(other)
-        records.append(record.with_outputs(outputs))
-    ranked = rank_axes(Dataset(tuple(records)), problem)
+    wrong = {
+        name: lambda record, other=other, sign=sign: sign * record.output(other)
+        for name, (other, sign) in fault.items()
+    }
+    ranked = rank_axes(altered(log(SHIP), **wrong), problem)
     # Velocities turned one way are positions turned the other way, but for their noise.
     assert undone in [one.says for one in ranked[:3]]
     read = next(one.statistic for one in ranked if one.says == "as read")

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kinematic_logs import DIVER, SHIP, Vehicle, log, motions
+from altered import altered, trials
+from kinematic_logs import DIVER, SHIP, Vehicle, log
 
 from oed_sysid.cli import main
 from oed_sysid.data.dataset import Dataset, read_csv, write_csv
@@ -18,7 +19,7 @@ from oed_sysid.evidence.relations import relations
 from oed_sysid.evidence.screens import bursts, jitter, screen, screened, steps
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.problem import load_problem
-from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.noise_levels import cubic_weights, off_cubic
 from oed_sysid.physics import (
     Force,
@@ -37,16 +38,20 @@ from oed_sysid.physics.parameters import Parameter
 TIMES = np.arange(800) * 0.1
 
 
-def wave(seed: int = 0) -> np.ndarray:
-    """A sine with noise of a hundredth of its size."""
+def wave(seed: int = 0, noise: float = 0.01, mean: float = 0.0) -> np.ndarray:
+    """A sine with noise, of a hundredth of its size if no other is given."""
     rng = np.random.default_rng(seed)
-    return np.sin(0.5 * TIMES) + 0.01 * rng.standard_normal(TIMES.size)
+    return mean + np.sin(0.5 * TIMES) + noise * rng.standard_normal(TIMES.size)
+
+
+def traced(series: np.ndarray, pushed: np.ndarray | None = None) -> Trace:
+    """A record of one signal with its noise."""
+    return Trace("run", TIMES, {"y": series}, {"y": "m"}, {"y": 0.01}, pushed=pushed)
 
 
 def found_in(series: np.ndarray) -> dict[str, list[int]]:
     """Rows of all faults of one signal, by kind."""
-    trace = Trace("run", TIMES, {"y": series}, {"y": "m"}, {"y": 0.01})
-    return {fault.kind: fault.rows.tolist() for fault in screen(trace)}
+    return {fault.kind: fault.rows.tolist() for fault in screen(traced(series))}
 
 
 def test_cubic_through_four_neighbours() -> None:
@@ -103,33 +108,31 @@ def test_a_short_hump_is_no_group() -> None:
     assert not bursts(TIMES, ramp, nothing, 8.5, 0.02)
 
 
-def test_groups_after_steps_of_the_inputs_are_answers() -> None:
-    """Four groups that begin right after the four steps of an input are no spikes."""
+@pytest.mark.parametrize(("length", "n_found"), [(2, 8), (None, 4)], ids=["groups", "jumps"])
+def test_what_follows_steps_of_the_inputs_is_an_answer(length: int | None, n_found: int) -> None:
+    """Groups or jumps that begin right after the four steps of an input are none; elsewhere are."""
     starts = np.array([100, 300, 500, 700])
     pushed = np.zeros(TIMES.size, dtype=bool)
     pushed[(starts[:, None] + np.arange(3)).ravel()] = True
-    for shift, expected in ((0, 0), (40, 8)):
+    for shift, expected in ((0, 0), (40, n_found)):
         series = wave()
-        series[(starts[:, None] + shift + np.arange(2)).ravel()] += 1.0
-        trace = Trace("run", TIMES, {"y": series}, {"y": "m"}, {"y": 0.01}, pushed=pushed)
-        faults, (marked,) = screened([trace])
+        for sign, start in zip((1.0, -1.0, 1.0, -1.0), starts + shift, strict=True):
+            series[start : length and start + length] += 1.0 if length else sign
+        faults, (marked,) = screened([traced(series, pushed)])
         assert sum(fault.rows.size for fault in faults) == expected
-        assert ("y" in marked.fast) is (shift == 0)
+        assert not length or ("y" in marked.fast) is (shift == 0)
 
 
 @pytest.mark.parametrize("signal", ["w", "q", "theta", "z"])
 def test_groups_in_a_log_are_the_only_finding(signal: str) -> None:
     """Three bursts of two to five samples of a dive: spikes, no bias, scale or delay."""
     problem = load_problem("remus_diving_plane")
-    record = simulate(
-        problem.model, problem.experiments["zigzag_10_10"], rng=np.random.default_rng(1)
-    )
-    outputs = record.outputs.copy()
-    column = outputs[:, record.channels.output_names.index(signal)]
-    size = 8.0 * column.std()
+    data = trials(problem.model, [problem.experiments["zigzag_10_10"]], 1)
+    series = data[0].output(signal).copy()
+    size = 8.0 * series.std()
     for first, length in ((100, 2), (290, 3), (480, 5)):
-        column[first : first + length] += size
-    found = check(Dataset((record.with_outputs(outputs),)), problem)
+        series[first : first + length] += size
+    found = check(altered(data, **{signal: series}), problem)
     assert [(one.kind, one.signals, one.size) for one in found.serious] == [
         ("spikes", (signal,), 10.0)
     ]
@@ -139,44 +142,31 @@ RUNS = ((100, 3), (290, 8), (520, 15))
 ROWS = np.concatenate([np.arange(first, first + length) for first, length in RUNS])
 
 
-def wave_dropouts(seed: int = 0) -> np.ndarray:
-    """A sine about 3 with noise."""
-    rng = np.random.default_rng(seed)
-    return 3.0 + np.sin(0.5 * TIMES) + 0.01 * rng.standard_normal(TIMES.size)
-
-
 @pytest.mark.parametrize("value", [0.0, 6.0, -1.0])
 def test_runs_that_a_signal_falls_to_at_once_are_dropouts(value: float) -> None:
     """Runs of 3, 8 and 15 samples below or above everything else, with all their samples."""
-    series = wave_dropouts()
+    series = wave(mean=3.0)
     series[ROWS] = value
     assert found_in(series) == {"dropouts": ROWS.tolist()}
 
 
-def test_a_single_run_of_zeros_is_a_dropout() -> None:
-    """Beyond all other values one run is enough."""
-    series = wave_dropouts()
-    series[290:298] = 0.0
-    assert found_in(series) == {"dropouts": list(range(290, 298))}
+@pytest.mark.parametrize(("kind", "first", "last"), [("dropouts", 290, 298), ("frozen", 200, 230)])
+def test_a_single_run_of_one_value_is_enough(kind: str, first: int, last: int) -> None:
+    """Zeros beyond all other values, or a value of the signal's own that it stays at."""
+    series = wave(mean=3.0)
+    series[first:last] = 0.0 if kind == "dropouts" else series[first]
+    # What was there before it froze is no fault.
+    assert found_in(series) == {kind: list(range(first + (kind == "frozen"), last))}
 
 
 @pytest.mark.parametrize("limit", [2.2, 3.5, 3.8])
 def test_a_limit_that_is_approached_cuts_off(limit: float) -> None:
     """A signal that runs into a limit with its usual steps is cut off there, at every crest."""
-    series = (
-        np.maximum(wave_dropouts(), limit) if limit < 3.0 else np.minimum(wave_dropouts(), limit)
-    )
+    series = (np.maximum if limit < 3.0 else np.minimum)(wave(mean=3.0), limit)
     found = found_in(series)
     assert set(found) == {"saturated"}
     # Where noise takes it over the limit for one or two samples, these are no runs.
     assert len(found["saturated"]) > 0.8 * np.sum(series == limit)
-
-
-def test_a_sensor_that_stands_still_is_frozen() -> None:
-    """Its value is one of its own, and it goes on from elsewhere."""
-    series = wave_dropouts()
-    series[200:230] = series[200]
-    assert found_in(series) == {"frozen": list(range(201, 230))}
 
 
 def test_the_end_of_a_short_hold_is_no_step() -> None:
@@ -192,15 +182,13 @@ def test_the_end_of_a_short_hold_is_no_step() -> None:
 def test_zeros_in_a_log_are_dropouts_and_nothing_else(signal: str) -> None:
     """The speed and the depth of a dive are positive: zeros there are no limit."""
     problem = load_problem("remus_diving_plane")
-    records = []
-    for number, name in enumerate(("zigzag_5_5", "zigzag_10_10")):
-        run = simulate(
-            problem.model, problem.experiments[name], rng=np.random.default_rng(number), name=name
-        )
-        outputs = run.outputs.copy()
-        outputs[ROWS, run.channels.output_names.index(signal)] = 0.0
-        records.append(run.with_outputs(outputs))
-    found = check(Dataset(tuple(records)), problem)
+    names = ("zigzag_5_5", "zigzag_10_10")
+    data = trials(problem.model, [problem.experiments[name] for name in names], ())
+    row = np.arange(data[0].n_samples)
+    data = altered(
+        data, **{signal: lambda record: np.where(np.isin(row, ROWS), 0.0, record.output(signal))}
+    )
+    found = check(data, problem)
     assert [(one.kind, one.signals, one.size) for one in found.serious] == [
         ("dropouts", (signal,), 52.0)
     ]
@@ -209,39 +197,19 @@ def test_zeros_in_a_log_are_dropouts_and_nothing_else(signal: str) -> None:
 GOOD = np.zeros(800, dtype=bool)
 
 
-def wave_steps(seed: int = 0, noise: float = 0.01) -> np.ndarray:
-    """A sine with noise."""
-    rng = np.random.default_rng(seed)
-    return np.sin(0.5 * TIMES) + noise * rng.standard_normal(TIMES.size)
-
-
 def jumping(data: Dataset, jumps: dict[str, tuple[int, int, float]]) -> Dataset:
     """Copies of records; a signal jumps in one of them (number, first row after, size)."""
-    records = list(data.records)
     for name, (number, row, size) in jumps.items():
-        outputs = records[number].outputs.copy()
-        outputs[row:, data.channels.output_names.index(name)] += size
-        records[number] = records[number].with_outputs(outputs)
-    return Dataset(tuple(records))
-
-
-def ships() -> Dataset:
-    """A clean log of a ship."""
-    rng = np.random.default_rng(2)
-    return log(SHIP, motions(SHIP, rng), (), 0.0, rng)
-
-
-def dives() -> Dataset:
-    """A clean log of a diving vehicle."""
-    rng = np.random.default_rng(2)
-    return log(DIVER, motions(DIVER, rng), (), 0.0, rng)
+        later = np.arange(data[number].n_samples) >= row
+        data = altered(data, number, **{name: data[number].output(name) + size * later})
+    return data
 
 
 @pytest.mark.parametrize("size", [0.9, -1.0, 5.0])
 @pytest.mark.parametrize("row", [15, 400, 783])
 def test_row_and_size_of_a_jump(row: int, size: float) -> None:
     """A jump is found at its sample, within four standard errors of its size."""
-    series = wave_steps()
+    series = wave()
     series[row:] += size
     (found,) = steps(TIMES, series, GOOD, 0.05)
     assert found.row == row
@@ -253,7 +221,7 @@ def test_sizes_are_better_than_those_of_two_short_lines() -> None:
     """Over a hundred records the error is below the noise; two short lines have 1.28 times it."""
     errors = []
     for seed in range(100):
-        series = wave_steps(seed)
+        series = wave(seed)
         series[400:] += 1.0
         (found,) = steps(TIMES, series, GOOD, 0.05)
         errors.append(found.size - 1.0)
@@ -265,43 +233,29 @@ def test_motion_is_no_jump() -> None:
     """Noise, ramps, corners, and one sample that is off hold no jump."""
     alarms = 0
     for seed in range(200):
-        series = wave_steps(seed, 0.2 * (seed % 5) / 4.0 + 0.01)
+        series = wave(seed, 0.2 * (seed % 5) / 4.0 + 0.01)
         alarms += len(steps(TIMES, series, GOOD, 0.05))
     assert alarms == 0
     ramp = np.interp(np.arange(800), [0, 300, 304, 800], [0.0, 0.0, 1.0, 1.0])
     assert not steps(TIMES, ramp, GOOD, 0.05)
-    spike = wave_steps()
+    spike = wave()
     spike[300] += 2.0
-    trace = Trace("run", TIMES, {"y": spike}, {"y": "m"}, {"y": 0.01})
-    assert [fault.kind for fault in screen(trace)] == ["spikes"]
-
-
-def test_jumps_after_steps_of_the_inputs_are_answers() -> None:
-    """Four jumps right after the four steps of an input are none; elsewhere they are."""
-    starts = np.array([100, 300, 500, 700])
-    pushed = np.zeros(TIMES.size, dtype=bool)
-    pushed[(starts[:, None] + np.arange(3)).ravel()] = True
-    for shift, expected in ((0, 0), (40, 4)):
-        series = wave_steps()
-        for sign, start in zip((1.0, -1.0, 1.0, -1.0), starts, strict=True):
-            series[start + shift :] += sign
-        trace = Trace("run", TIMES, {"y": series}, {"y": "m"}, {"y": 0.01}, pushed=pushed)
-        faults, _ = screened([trace])
-        assert sum(fault.rows.size for fault in faults) == expected
+    assert [fault.kind for fault in screen(traced(spike))] == ["spikes"]
 
 
 @pytest.mark.parametrize(
-    ("data", "model", "signal", "size", "unit"),
+    ("vehicle", "signal", "size", "unit"),
     [
-        (ships(), SHIP.model, "psi", np.pi / 2.0, "rad"),
-        (ships(), SHIP.model, "r", -0.1, "rad/s"),
-        (dives(), DIVER.model, "z", 2.0, "m"),
+        (SHIP, "psi", np.pi / 2.0, "rad"),
+        (SHIP, "r", -0.1, "rad/s"),
+        (DIVER, "z", 2.0, "m"),
     ],
 )
 def test_a_jump_is_the_only_finding_and_is_undone(
-    data: Dataset, model: Model, signal: str, size: float, unit: str
+    vehicle: Vehicle, signal: str, size: float, unit: str
 ) -> None:
     """A compass, a gyro and a depth that were set anew: size, record, and the equations after."""
+    data, model = log(vehicle, seed=2), vehicle.model
     spoilt = jumping(data, {signal: (1, 400, size)})
     found = check(spoilt, model, inputs=False)
     (one,) = found.serious
@@ -311,8 +265,7 @@ def test_a_jump_is_the_only_finding_and_is_undone(
         (data[1].name,),
         unit,
     )
-    noise = (SHIP if model is SHIP.model else DIVER).noise[signal]
-    assert one.size == pytest.approx(size, abs=4.0 * 1.28 * noise)
+    assert one.size == pytest.approx(size, abs=4.0 * 1.28 * vehicle.noise[signal])
     assert one.correction is not None
     assert one.correction.rows == {data[1].name: (400,)}
     assert f"t = {data[1].times[400]:.6g} s" in one.says
@@ -327,7 +280,7 @@ def test_a_jump_is_the_only_finding_and_is_undone(
 
 def test_size_is_said_in_degrees_and_corrected_copies_pass() -> None:
     """Jumps of two signals in one log are both undone in the copies."""
-    data = ships()
+    data = log(SHIP, seed=2)
     spoilt = jumping(data, {"psi": (0, 300, np.pi / 2.0), "y": (2, 500, -40.0)})
     found = check(spoilt, SHIP.model, inputs=False)
     assert {(f.kind, f.signals) for f in found.serious} == {("step", ("psi",)), ("step", ("y",))}
@@ -346,14 +299,8 @@ def test_size_is_said_in_degrees_and_corrected_copies_pass() -> None:
 def test_an_underwater_vehicle_whose_compass_was_reset() -> None:
     """In six degrees of freedom, in all four records, between the steps of the rudder."""
     problem = load_problem("remus_6dof")
-    model = problem.true_model()
-    runs = [
-        simulate(model, run, rng=np.random.default_rng((3, k)), name=name)
-        for k, (name, run) in enumerate(problem.experiments.items())
-    ]
-    data = Dataset(tuple(runs))
-    spoilt = data
-    for k in range(len(runs)):
+    data = spoilt = trials(problem.true_model(), problem.experiments.values(), (3,))
+    for k in range(len(data)):
         spoilt = jumping(spoilt, {"psi": (k, 150, np.pi / 2.0)})
     (one,) = check(spoilt, problem).serious
     assert (one.kind, one.signals, one.records) == ("step", ("psi",), data.names)
@@ -364,40 +311,18 @@ def test_an_underwater_vehicle_whose_compass_was_reset() -> None:
 
 def test_a_heading_that_catches_up_is_not_shifted() -> None:
     """A compass that coasted through a turn is right after its jump: nothing is subtracted."""
-    data = ships()
-    outputs = data[1].outputs.copy()
-    heading = outputs[:, data.channels.output_names.index("psi")]
+    data = log(SHIP, seed=2)
+    heading = data[1].output("psi").copy()
     turned = np.abs(heading[30:] - heading[:-30])
     first = int(np.argmax(turned))
     rng = np.random.default_rng(0)
     heading[first : first + 30] = heading[first] + 0.004 * rng.standard_normal(30)
-    records = (data[0], data[1].with_outputs(outputs), data[2])
-    found = check(Dataset(records), SHIP.model, inputs=False)
+    found = check(altered(data, 1, psi=heading), SHIP.model, inputs=False)
     one = found.named("step", "psi")
     assert one is not None
     assert one.size == pytest.approx(heading[first + 30] - heading[first], abs=0.05)
     assert one.correction is None
     assert "caught up" in one.says
-
-
-def clean_log(vehicle: Vehicle, seed: int = 0, colour: float = 0.0) -> Dataset:
-    """A log without faults."""
-    rng = np.random.default_rng(seed)
-    return log(vehicle, motions(vehicle, rng), (), colour, rng)
-
-
-def with_output(data: Dataset, number: int, name: str, series: np.ndarray) -> Dataset:
-    """Copies of records, one output of one of them replaced."""
-    outputs = data[number].outputs.copy()
-    outputs[:, data.channels.output_names.index(name)] = series
-    records = list(data.records)
-    records[number] = data[number].with_outputs(outputs)
-    return Dataset(tuple(records))
-
-
-def wandering(data: Dataset) -> Dataset:
-    """The yaw rate of the second record comes from the first one."""
-    return with_output(data, 1, "r", data[0].output("r"))
 
 
 def heading(jump: float, turning: float, noise: float = 0.002) -> Trace:
@@ -448,12 +373,11 @@ def test_noise_that_leaves_everything_is_no_misfit() -> None:
 @pytest.fixture(scope="module", name="wandered")
 def _wandered() -> tuple[Dataset, LogCheck]:
     """A yaw rate of another record, two spikes and a turned signal, with what the check finds."""
-    spoilt = wandering(clean_log(SHIP))
-    spiky = spoilt[0].output("u").copy()
+    data = log(SHIP)
+    spiky = data[0].output("u").copy()
     spiky[[200, 500]] += 3.0
-    spoilt = with_output(spoilt, 0, "u", spiky)
-    for number in range(3):
-        spoilt = with_output(spoilt, number, "y", -spoilt[number].output("y"))
+    spoilt = altered(altered(data, 1, r=data[0].output("r")), 0, u=spiky)
+    spoilt = altered(spoilt, y=lambda record: -record.output("y"))
     return spoilt, check(spoilt, SHIP.model, inputs=False)
 
 
@@ -492,14 +416,9 @@ def test_only_bad_samples_are_corrected_then(wandered: tuple[Dataset, LogCheck])
 def test_fix_writes_what_was_logged_where_an_equation_fails(tmp_path, capsys) -> None:  # type: ignore[no-untyped-def]
     """The command says why it corrects nothing, and its copies equal the records."""
     problem = load_problem("remus_diving_plane")
-    rng = np.random.default_rng(3)
-    runs = Dataset(
-        tuple(
-            simulate(problem.model, problem.experiments[name], rng=rng, name=name)
-            for name in ("zigzag_5_5", "zigzag_10_10", "steps")
-        )
-    )
-    runs = with_output(runs, 1, "theta", runs[2].output("theta"))
+    names = ("zigzag_5_5", "zigzag_10_10", "steps")
+    runs = trials(problem.model, [problem.experiments[name] for name in names], 3)
+    runs = altered(runs, 1, theta=runs[2].output("theta"))
     for record in runs:
         write_csv(record, tmp_path / f"{record.name}.csv")
     fixed = tmp_path / "fixed"
@@ -514,7 +433,7 @@ def test_fix_writes_what_was_logged_where_an_equation_fails(tmp_path, capsys) ->
 def test_noise_of_any_colour_is_no_misfit(colour: float) -> None:
     """Clean logs of both vehicles leave less than a third of every left side."""
     for vehicle in (DIVER, SHIP):
-        found = check(clean_log(vehicle, 3, colour), vehicle.model, inputs=False)
+        found = check(log(vehicle, seed=3, colour=colour), vehicle.model, inputs=False)
         assert found.named("unexplained") is None
         assert max(row.after for row in found.balances) < UNEXPLAINED
 
@@ -578,14 +497,11 @@ def test_an_effect_with_memory_is_refused() -> None:
 def test_depth_that_some_records_hold_is_no_other_fault(held: tuple[str, ...]) -> None:
     """A slow depth sensor in one of three records: held there, and nothing else is said."""
     problem = load_problem("remus_diving_plane")
-    records = []
-    for record in problem.data():
-        outputs = np.array(record.outputs)
-        if record.name in held:
-            outputs[:, -1] = outputs[np.arange(record.n_samples) // 5 * 5, -1]
-        if record.name.startswith("train"):
-            records.append(record.with_outputs(outputs))
-    found = check(Dataset(tuple(records)), problem.model, inputs=False)
+    data = Dataset([record for record in problem.data() if record.name.startswith("train")])
+    for number in [data.names.index(name) for name in held]:
+        fifth = np.arange(data[number].n_samples) // 5 * 5
+        data = altered(data, number, z=data[number].output("z")[fifth])
+    found = check(data, problem.model, inputs=False)
     assert [(one.name, one.records) for one in found.findings] == [("held z", held)]
 
 

@@ -1,0 +1,41 @@
+"""Copies of records in which some outputs are others, and records of a problem's experiments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from oed_sysid import Dataset, Experiment, Model, Record, simulate
+
+
+def altered(
+    data: Dataset, *numbers: int, **outputs: np.ndarray | Callable[[Record], np.ndarray]
+) -> Dataset:
+    """Copies of records; in those of the numbers, or in all, outputs are others.
+
+    Each is given as an array, or as a function of the record.
+    """
+    records = list(data)
+    for k in numbers or range(len(records)):
+        columns = dict(zip(data.channels.output_names, records[k].outputs.T, strict=True))
+        for name, new in outputs.items():
+            columns[name] = new(records[k]) if callable(new) else new
+        records[k] = records[k].with_outputs(np.column_stack(list(columns.values())))
+    return Dataset(records)
+
+
+def trials(
+    model: Model, runs: Iterable[Experiment], rng: np.random.Generator | int | tuple[int, ...]
+) -> Dataset:
+    """Records of experiments, simulated with noise.
+
+    One generator draws for all, or one for each, whose seeds begin with a tuple.
+    """
+    one = None if isinstance(rng, tuple) else np.random.default_rng(rng)
+    return Dataset(
+        [
+            simulate(model, run, rng=one or np.random.default_rng((*rng, k)))
+            for k, run in enumerate(runs)
+        ]
+    )
