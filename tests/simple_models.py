@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from motion import outputs, states
+
 from oed_sysid import Actuator, Force, Input, Memory, Model, Output, Parameter, Sensor, State
 
 K, T = 0.08, 12.0
@@ -24,26 +26,13 @@ PENDULUM = Model(
 # Diving plane of a small AUV; actuator lag and depth-sensor lag have memory.
 AUV = Model(
     "AUV",
-    states=(
-        State("u", "m/s"),
-        State("w", "m/s", scale=0.1),
-        State("q", "rad/s", scale=0.1),
-        State("theta", "rad", scale=0.1),
-        State("z", "m"),
-    ),
+    states=states("u w q theta z", w=0.1, q=0.1, theta=0.1),
     inputs=(Input("fin", "rad"), Input("thrust", "N")),
-    outputs=(
-        Output("q", "rad/s", noise_std=0.004),
-        Output("theta", "rad", noise_std=0.004),
-        Output("z", "m", noise_std=0.03),
-    ),
+    outputs=outputs("q theta z", q=0.004, theta=0.004, z=0.03),
     axes={"X": "u", "Z": "w", "M": "q"},
     inertia={
-        ("X", "u"): "31.4",
-        ("Z", "w"): "66",
-        ("Z", "q"): "1.93",
-        ("M", "w"): "1.93",
-        ("M", "q"): "8.33",
+        **{("X", "u"): "31.4", ("Z", "w"): "66", ("M", "q"): "8.33"},
+        **{("Z", "q"): "1.93", ("M", "w"): "1.93"},
     },
     kinematics={"theta": "q", "z": "-u*sin(theta) + w*cos(theta)"},
     actuators={"ds": "fin", "T": "thrust"},

@@ -9,18 +9,17 @@ import numpy as np
 import pytest
 from golden_files import restored
 from marks import slow
+from motion import outputs, states
 
-from oed_sysid.baselines import OutputError
+from oed_sysid.baselines import MultipleShooting, OutputError, Solver
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, UnitWarning
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import ZigZag
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.likelihood.captive import CaptiveTests
-from oed_sysid.likelihood.estimator import Solver
-from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics import Actuator, ExtraState, Force, Parameter
-from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.channels import Input
 from oed_sysid.physics.model import Model
 
 TRUTH = {"Y_v": -40.0, "Y_r": 25.0, "N_v": -15.0, "N_r": -60.0, "Y_d": 12.0, "N_d": -30.0}
@@ -32,13 +31,9 @@ def ship() -> Model:
     parameters = tuple(Parameter(name, value / 1.5, "1") for name, value in TRUTH.items())
     return Model(
         "sway and yaw",
-        states=(State("v", "m/s", scale=0.2), State("r", "rad/s", scale=0.1), State("psi", "rad")),
+        states=states("v r psi", v=0.2, r=0.1),
         inputs=(Input("delta", "rad"),),
-        outputs=(
-            Output("v", "m/s", noise_std=0.01),
-            Output("r", "rad/s", noise_std=0.005),
-            Output("psi", "rad", noise_std=0.01),
-        ),
+        outputs=outputs("v r psi", v=0.01, r=0.005, psi=0.01),
         axes={"Y": "v", "N": "r"},
         inertia={("Y", "v"): "150", ("N", "r"): "90"},
         kinematics={"psi": "r"},

@@ -8,23 +8,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from motion import outputs, states
 from turning_ship import record as turning_record
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model, yaw_record
 
-from oed_sysid import Experiment, Force, Input, Model, Output, Parameter, Record, State
-from oed_sysid.baselines import EquationError
-from oed_sysid.data.dataset import Dataset
+from oed_sysid import Dataset, Experiment, Force, Input, Model, Output, Parameter, Record, State
+from oed_sysid.baselines import EquationError, MultipleShooting
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.experiments.manoeuvres import Piecewise, ZigZag
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics import actuator_offset, sensor_bias
 from oed_sysid.prediction.speed_polar import SailingNames, speed_polar
 from oed_sysid.prediction.structures import Structure, average_structures, ladder, peak_input
 from oed_sysid.prediction.turning_circle import turning_circle
-from oed_sysid.results import plot_polar
+from oed_sysid.results import new_figure, plot_polar
 
 
 @pytest.fixture(scope="module")
@@ -335,11 +334,7 @@ CART = Model(
         Input("wind_speed", "m/s"),
         Input("wind_from", "rad"),
     ),
-    (
-        Output("u", "m/s", noise_std=0.01),
-        Output("r", "rad/s", noise_std=1e-3),
-        Output("psi", "rad", noise_std=1e-3),
-    ),
+    outputs("u r psi", u=0.01, r=1e-3, psi=1e-3),
     {
         "u": "(sin(wind_from - psi)*wind_speed**2*(1 - (sheet - 0.6)**2) - drag*u*abs(u))/10",
         "r": "delta - 0.1 - r",
@@ -409,8 +404,6 @@ def test_missing_channels_are_named() -> None:
 
 def test_polar_needs_polar_axes() -> None:
     """Square axes are refused with words."""
-    from oed_sysid.results import new_figure
-
     polar = speed_polar(CART, wind_speed=5.0, angles=ANGLES[:1], sheets=SHEETS)
     _, axes = new_figure(1, 1, size=(3, 3))
     with pytest.raises(DataError, match="polar axes"):
@@ -421,10 +414,7 @@ NOMOTO = Model(
     "Nomoto",
     states=(State("psi", "rad"), State("r", "rad/s", scale=0.02)),
     inputs=(Input("rudder", "rad"),),
-    outputs=(
-        Output("psi", "rad", noise_std=0.002),
-        Output("r", "rad/s", noise_std=0.0005),
-    ),
+    outputs=outputs("psi r", psi=0.002, r=0.0005),
     kinematics={"psi": "r", "r": "(K*rudder - r)/T"},
     parameters=(Parameter("K", 0.1, "1/s"), Parameter("T", 8.0, "s", lower=0.1)),
     step=0.2,
@@ -432,12 +422,7 @@ NOMOTO = Model(
 # A body that loses speed in the turn and drifts, with known steady values.
 DRIFTING = Model(
     "drifting ship",
-    states=(
-        State("u", "m/s"),
-        State("v", "m/s", scale=0.1),
-        State("r", "rad/s", scale=0.02),
-        State("psi", "rad"),
-    ),
+    states=states("u v r psi", v=0.1, r=0.02),
     inputs=(Input("rudder", "rad", interpolation="linear"),),
     outputs=(Output("psi", "rad"),),
     kinematics={
@@ -529,39 +514,30 @@ def test_imperfect_sensors_do_not_bend_the_track_and_actuators_do() -> None:
     assert ratio == pytest.approx(0.22 / 0.18, rel=1e-3)
 
 
+ROLL = Model("roll", (State("p", "rad/s"),), (Input("fin", "rad"),), outputs("p"), {"p": "fin - p"})
+TWO_INPUTS = replace(NOMOTO, inputs=(*NOMOTO.inputs, Input("fin", "rad")))
+
+
 @pytest.mark.parametrize(
-    ("change", "arguments", "message"),
+    ("model", "arguments", "message"),
     [
-        ({"K": 0.1}, {"side": "left"}, "starboard, port or both"),
-        ({"K": 0.1}, {"rudder": -0.3}, "above zero"),
-        ({"K": 0.1}, {"rudder": 35.0}, "degrees, give math.radians.35., which is 0.61"),
-        ({"K": 0.1}, {"length": 0.0}, "length 0; .* Give the length of the ship in m"),
-        ({"K": 0.1}, {"length": -3.0}, "length -3; it must be above zero"),
-        ({"K": 0.1}, {"rate": 0.0}, "rate 0; it must be above zero. Give rad/s"),
-        ({"K": 0.1}, {"n_draws": -3}, "n_draws is -3"),
-        ({"K": 0.0}, {}, "does not turn|same side"),
+        (NOMOTO, {"side": "left"}, "starboard, port or both"),
+        (NOMOTO, {"rudder": -0.3}, "above zero"),
+        (NOMOTO, {"rudder": 35.0}, "degrees, give math.radians.35., which is 0.61"),
+        (NOMOTO, {"length": 0.0}, "length 0; .* Give the length of the ship in m"),
+        (NOMOTO, {"length": -3.0}, "length -3; it must be above zero"),
+        (NOMOTO, {"rate": 0.0}, "rate 0; it must be above zero. Give rad/s"),
+        (NOMOTO, {"n_draws": -3}, "n_draws is -3"),
+        (NOMOTO.with_values({"K": 0.0}), {}, "does not turn|same side"),
+        (TWO_INPUTS, {}, "inputs rudder, fin; a turning circle needs"),
+        (ROLL, {}, "no state 'psi'"),
     ],
 )
-def test_mistakes_are_answered(change: dict, arguments: dict, message: str) -> None:
-    """Wrong sides, signs and names are named, and a ship that does not steer."""
+def test_mistakes_are_answered(model: Model, arguments: dict, message: str) -> None:
+    """Wrong sides, signs and names are named, and ships that no rudder steers by a heading."""
     with pytest.raises(Exception, match=message) as caught:
-        turning_circle(NOMOTO.with_values(change), speed=2.0, **arguments)
+        turning_circle(model, speed=2.0, **arguments)
     assert type(caught.value).__module__ == "oed_sysid.errors"
-
-
-def test_the_rudder_is_the_only_input() -> None:
-    """A model with more inputs than the rudder is told what a circle needs."""
-    two = replace(NOMOTO, inputs=(*NOMOTO.inputs, Input("fin", "rad")))
-    with pytest.raises(ModelError, match="inputs rudder, fin; a turning circle needs"):
-        turning_circle(two, speed=2.0)
-
-
-def test_a_model_without_heading_cannot_turn() -> None:
-    """A turn is told by the heading; a roll model has none."""
-    roll = Model("roll", (State("p", "rad/s"),), (Input("fin", "rad"),), (Output("p", "rad/s"),),
-                 {"p": "fin - p"})  # fmt: skip
-    with pytest.raises(ModelError, match="no state 'psi'"):
-        turning_circle(roll, speed=1.0)
 
 
 def test_what_a_fit_does_not_determine_is_not_drawn(fit_turning) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from oed_sysid import Dataset, Force, Input, Model, Output, Parameter, Record, State, improve
 from oed_sysid.evidence.improvement import Improvement
-from oed_sysid.physics import Effect, actuator_lag, actuator_offset, sensor_bias
+from oed_sysid.physics import Effect, Sensor, actuator_lag, actuator_offset, sensor_bias
 
 NOISE = np.array([0.01, 0.004])
 SAMPLE = 0.2
@@ -19,6 +19,9 @@ CANDIDATES: tuple[Effect, ...] = (
     actuator_offset("rudder_offset", "delta", scale=0.05),
     actuator_lag("rudder_lag", "delta", scale=0.5),
     sensor_bias("bias_r", "r", "rad/s", scale=0.01),
+)
+GYRO_BIAS = Sensor(
+    "bias", {"r": "r + b_r"}, (Parameter("b_r", 0.0, "rad/s", per_record=True, scale=0.01),)
 )
 SHIP = Model(
     "turning ship",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from oed_sysid import Force, Input, Model, Output, Parameter, State
+from motion import outputs, states
+
+from oed_sysid import Force, Input, Model, Parameter
 from oed_sysid.physics import hull_derivatives, linear_damping, metacentric_moment
 
 DIVING_START = {"u": 1.5, "z": 10.0}
@@ -36,21 +38,9 @@ def remus() -> Model:
     values |= {"M_uw": 14.0, "M_uq": -9.0, "M_uuds": -6.15}
     return Model(
         "remus",
-        states=(
-            State("u", "m/s"),
-            State("w", "m/s", scale=0.1),
-            State("q", "rad/s", scale=0.1),
-            State("theta", "rad", scale=0.1),
-            State("z", "m"),
-        ),
+        states=states("u w q theta z", w=0.1, q=0.1, theta=0.1),
         inputs=(Input("fin_command", "rad"), Input("thrust", "N")),
-        outputs=(
-            Output("u", "m/s"),
-            Output("w", "m/s"),
-            Output("q", "rad/s"),
-            Output("theta", "rad"),
-            Output("z", "m"),
-        ),
+        outputs=outputs("u w q theta z"),
         axes={"X": "u", "Z": "w", "M": "q"},
         inertia={
             ("X", "u"): "m - X_udot",
@@ -80,30 +70,12 @@ def ship() -> Model:
     values |= {"N_uv": -3.2e7, "N_ur": -3.2e9, "N_uudelta": -2.5e6}
     return Model(
         "ship",
-        states=(
-            State("u", "m/s"),
-            State("v", "m/s", scale=0.5),
-            State("r", "rad/s", scale=0.01),
-            State("psi", "rad"),
-            State("x", "m", scale=100.0),
-            State("y", "m", scale=100.0),
-        ),
+        states=states("u v r psi x y", v=0.5, r=0.01, x=100.0, y=100.0),
         inputs=(Input("rudder_command", "rad"), Input("thrust", "N")),
-        outputs=(
-            Output("u", "m/s"),
-            Output("v", "m/s"),
-            Output("r", "rad/s"),
-            Output("psi", "rad"),
-            Output("x", "m"),
-            Output("y", "m"),
-        ),
+        outputs=outputs("u v r psi x y"),
         axes={"X": "u", "Y": "v", "N": "r"},
         inertia={("X", "u"): "m_x", ("Y", "v"): "m_y", ("N", "r"): "I_zz"},
-        kinematics={
-            "psi": "r",
-            "x": "u*cos(psi) - v*sin(psi)",
-            "y": "u*sin(psi) + v*cos(psi)",
-        },
+        kinematics={"psi": "r", "x": "u*cos(psi) - v*sin(psi)", "y": "u*sin(psi) + v*cos(psi)"},
         actuators={"delta": "rudder_command", "T": "thrust"},
         signals={"u_r": "u", "v_r": "v"},
         effects=(
@@ -122,9 +94,9 @@ def roll_oscillator() -> Model:
     """Roll of a ship with linear damping, excited by a wave moment."""
     return Model(
         "roll",
-        states=(State("phi", "rad", scale=0.3), State("p", "rad/s", scale=0.3)),
+        states=states("phi p", phi=0.3, p=0.3),
         inputs=(Input("wave_moment", "N m", interpolation="linear"),),
-        outputs=(Output("phi", "rad"), Output("p", "rad/s")),
+        outputs=outputs("phi p"),
         axes={"K": "p"},
         inertia={("K", "p"): "I_xx"},
         kinematics={"phi": "p"},
