@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -39,3 +40,18 @@ def trials(
             for k, run in enumerate(runs)
         ]
     )
+
+
+def overwritten(data: Dataset, number: int, where: object, value: object) -> Dataset:
+    """Copies of records; samples of the outputs of one of them, and no others, have a value."""
+    records = list(data)
+    outputs = records[number].outputs.copy()
+    outputs[where] = value
+    records[number] = records[number].with_outputs(outputs)
+    return Dataset(records)
+
+
+def part(record: Record, rows: object) -> Record:
+    """Some rows of a record."""
+    columns = {name: getattr(record, name)[rows] for name in ("times", "inputs", "outputs")}
+    return replace(record, **columns)

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from altered import altered, trials
+from altered import altered, part, trials
 from kinematic_logs import DIVER, SHIP, Fault, Vehicle, log, match, pair
 from marks import slow
+from motion import UNITS, outputs, states
 from scipy.fft import dct
 from scipy.signal import lfilter
 
@@ -364,10 +365,8 @@ def test_step_of_the_clock_is_told_from_a_gap() -> None:
     jumped = Dataset((replace(record, times=later), *data.records[1:]))
     assert check(jumped, DIVER.model, inputs=False).named("clock") is not None
     kept = np.r_[0:400, 450 : record.n_samples]
-    gap = replace(
-        record, times=record.times[kept], inputs=record.inputs[kept], outputs=record.outputs[kept]
-    )
-    found = check(Dataset((gap, *data.records[1:])), DIVER.model, inputs=False)
+    gap = Dataset((part(record, kept), *data.records[1:]))
+    found = check(gap, DIVER.model, inputs=False)
     assert found.named("clock") is None
     assert found.named("gap") is not None
     assert found.ok
@@ -913,14 +912,12 @@ def test_equations_with_unknown_parameters_are_left_alone() -> None:
 
 def test_six_degrees_of_freedom_follow_from_standard_names() -> None:
     """Twelve measured signals with standard names have six equations, right on a random motion."""
-    names = ("x", "y", "z", "phi", "theta", "psi", "u", "v", "w", "p", "q", "r")
-    units = dict.fromkeys("xyz", "m") | dict.fromkeys("uvw", "m/s") | dict.fromkeys("pqr", "rad/s")
-    units |= dict.fromkeys(("phi", "theta", "psi"), "rad")
+    names = tuple(UNITS)
     model = Model(
         "body",
-        states=tuple(State(n, units[n]) for n in names),
+        states=states(" ".join(names)),
         inputs=(),
-        outputs=tuple(Output(n, units[n]) for n in names),
+        outputs=outputs(" ".join(names)),
         kinematics={n: f"-a*{n}" for n in "uvwpqr"} | {n: f"a*{n}" for n in names[:6]},
         parameters=(Parameter("a", 1.0),),
     )

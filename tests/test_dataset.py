@@ -11,12 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from altered import part
 from yaw_vehicle import NOISE, yaw_record
 
 from oed_sysid import Model, MultipleShooting, OedSysidError, Parameter, State
 from oed_sysid.data.dataset import Dataset, Record, check_disjoint, overlap, read_csv, write_csv
 from oed_sysid.data.record import clear_wraps, unwrapped
 from oed_sysid.errors import DataError
+from oed_sysid.experiments.problem import load_problem
 from oed_sysid.physics.channels import Channels, Input, Output
 
 CHANNELS = Channels(
@@ -364,6 +366,10 @@ def test_single_signal_as_a_vector() -> None:
     ("changes", "message"),
     [
         ({"times": TIMES[:, None]}, r"times of shape \(11, 1\)"),
+        (
+            {"times": TIMES[:4], "inputs": TIMES[:4], "outputs": np.ones((4, 2))},
+            "4 samples; at least 5",
+        ),
         ({"times": TIMES[:9]}, "has 9 times but 11 rows of inputs"),
         ({"outputs": np.ones((9, 2))}, r"11 times but 9 rows of outputs \(theta, q\)"),
         ({"outputs": np.ones((2, 11))}, r"Expected time first, \(11, 2\)"),
@@ -385,12 +391,6 @@ def test_faults_are_refused(changes: dict[str, object], message: str) -> None:
     """Every fault is refused at construction, in words."""
     with pytest.raises(DataError, match=f"Record 'dive_1'.*{message}"):
         record_record(**changes)
-
-
-def test_too_few_samples() -> None:
-    """Four samples are not a record."""
-    with pytest.raises(DataError, match="4 samples; at least 5"):
-        Record("short", TIMES[:4], TIMES[:4], np.ones((4, 2)), CHANNELS_RECORD)
 
 
 def test_constant_channels() -> None:
@@ -481,16 +481,19 @@ def test_plus_minus_180_is_unwrapped_with_gaps() -> None:
     assert np.nanmax(np.abs(rest - np.nanmean(rest))) < 1e-12
 
 
-def test_undeclared_wrap_is_refused_with_the_line_to_write() -> None:
-    """A jump of a full turn without wrap=True stops with the declaration that helps."""
-    with pytest.raises(OedSysidError, match=r'Output\("psi", "rad", wrap=True\)'):
-        record_angles(WRAPPED, wrap=False)
-
-
-def test_degrees_passed_as_radians_are_recognised_at_the_cut() -> None:
-    """A jump by 360 in radians is a heading in degrees."""
-    with pytest.raises(OedSysidError, match=r"psi \[deg\]"):
-        record_angles(np.degrees(WRAPPED), wrap=False)
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: record_angles(WRAPPED, wrap=False), r'Output\("psi", "rad", wrap=True\)'),
+        (lambda: record_angles(np.degrees(WRAPPED), wrap=False), r"psi \[deg\]"),
+        (lambda: Output("z", "m", wrap=True), "only an angle"),
+    ],
+    ids=["undeclared", "degrees as radians", "a length"],
+)
+def test_what_does_not_wrap_as_declared_is_refused(make: Callable[[], object], words: str) -> None:
+    """A jump of a full turn stops with the declaration that helps; a length never wraps."""
+    with pytest.raises(OedSysidError, match=words):
+        make()
 
 
 def test_sparse_or_fast_headings_are_left_alone() -> None:
@@ -528,12 +531,6 @@ def test_reading_a_wrapped_file_says_so(tmp_path) -> None:  # type: ignore[no-un
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert data[0].thin(2).n_samples == 100
-
-
-def test_only_angles_wrap() -> None:
-    """A length that wraps is refused where it is declared."""
-    with pytest.raises(OedSysidError, match="only an angle"):
-        Output("z", "m", wrap=True)
 
 
 def test_turns_within_a_gap_are_counted_by_the_rates_beside_it() -> None:
@@ -607,16 +604,6 @@ def later(record: Record, seconds: float) -> Record:
     return replace(record, times=record.times + seconds)
 
 
-def rows_overlap(record: Record, chosen: slice) -> Record:
-    """A part of a record."""
-    return replace(
-        record,
-        times=record.times[chosen],
-        inputs=record.inputs[chosen],
-        outputs=record.outputs[chosen],
-    )
-
-
 def rounded(record: Record, digits: int) -> Record:
     """What a file with so many significant digits of the span keeps."""
     quantum = 10.0**-digits * np.ptp(record.outputs, axis=0)
@@ -637,12 +624,12 @@ COPIES: dict[str, Callable[[Record], Record]] = {
     "clock set": lambda record: later(record, 3600.25),
     "clock set back": lambda record: later(record, -17.0),
     "thinned": lambda record: record.thin(3),
-    "thinned and clock set": lambda record: later(rows_overlap(record, slice(1, None, 2)), 12.5),
-    "middle part": lambda record: rows_overlap(record, slice(60, 120)),
-    "short part": lambda record: rows_overlap(record, slice(60, 75)),
-    "first row dropped": lambda record: rows_overlap(record, slice(1, None)),
-    "last row dropped": lambda record: rows_overlap(record, slice(None, -1)),
-    "ends dropped, clock at zero": lambda record: later(rows_overlap(record, slice(7, -9)), -3.5),
+    "thinned and clock set": lambda record: later(part(record, slice(1, None, 2)), 12.5),
+    "middle part": lambda record: part(record, slice(60, 120)),
+    "short part": lambda record: part(record, slice(60, 75)),
+    "first row dropped": lambda record: part(record, slice(1, None)),
+    "last row dropped": lambda record: part(record, slice(None, -1)),
+    "ends dropped, clock at zero": lambda record: later(part(record, slice(7, -9)), -3.5),
     "four digits": lambda record: rounded(record, 4),
     "six digits, thinned": lambda record: rounded(record, 6).thin(2),
     "in degrees and back": lambda record: record.with_outputs(
@@ -682,10 +669,7 @@ def test_round_trip_through_a_file(tmp_path: Path) -> None:
 def test_common_part_of_two_cuts() -> None:
     """Two cuts of one long log that share a fifth of their rows are refused, with the clock."""
     log = run(5, n=400)
-    first, second = (
-        rows_overlap(log, slice(0, 200)),
-        later(rows_overlap(log, slice(160, 360)), -80.0),
-    )
+    first, second = part(log, slice(0, 200)), later(part(log, slice(160, 360)), -80.0)
     found = overlap(first, second.rename("second"))
     assert found is not None
     assert found.shift == pytest.approx(80.0)
@@ -728,8 +712,6 @@ def test_records_that_rest_are_different_records() -> None:
 
 def test_shipped_records_are_disjoint() -> None:
     """The records that come with the diving plane do not overlap; doubled ones do."""
-    from oed_sysid.experiments.problem import load_problem
-
     problem = load_problem("remus_diving_plane")
     folder = Path(__file__).parent.parent / "problems" / "remus_diving_plane" / "data"
     train, test = (

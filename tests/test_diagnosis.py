@@ -16,11 +16,10 @@ from diving_plane import PROBLEM, records
 from golden_files import restored
 from marks import slow
 from scipy import stats
-from turning_ship import CANDIDATES, NOISE, SHIP, dataset
+from turning_ship import CANDIDATES, GYRO_BIAS, NOISE, SHIP, dataset
 from turning_ship import CUBIC as DAMPING
 from turning_ship import improved as improved_ship
 
-from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record, read_csv
 from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.evidence import improvement
@@ -36,11 +35,12 @@ from oed_sysid.evidence.residual_forces import let_in
 from oed_sysid.evidence.score import Score, scores
 from oed_sysid.evidence.study import Study
 from oed_sysid.experiments.problem import load_problem
+from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import Force, Parameter, Sensor, sensor_bias
+from oed_sysid.physics import Force, Parameter, sensor_bias
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.text.units import same_dimension
@@ -204,13 +204,9 @@ def test_empty_comparisons_are_refused() -> None:
 
 def test_what_differs_from_record_to_record_is_estimated_on_each() -> None:
     """A gyro bias that is declared per record is neither misfit nor forecast error."""
-    bias = Sensor(
-        "bias", {"r": "r + b_r"}, (Parameter("b_r", 0.0, "rad/s", per_record=True, scale=0.01),)
-    )
-    first = record("a", 1, 0.0)
-    second = record("b", 2, 0.0)
+    first, second = record("a", 1, 0.0), record("b", 2, 0.0)
     shifted = second.with_outputs(second.outputs + np.array([0.0, 0.02]))
-    found = compare({"biased": NOMINAL + bias, "plain": NOMINAL}, Dataset((first, shifted)))
+    found = compare({"biased": NOMINAL + GYRO_BIAS, "plain": NOMINAL}, Dataset((first, shifted)))
     assert found["biased"].is_noise
     assert found["biased"].forecasts.overall == pytest.approx(1.0, abs=0.08)
     assert not found["plain"].is_noise
@@ -516,13 +512,9 @@ def test_several_shapes_are_estimated_from_their_own_values(brim: float) -> None
     )
     true = (tank + overflow).with_values({"E_overflow": 0.5, "share": 0.7, "brim": 1.0})
     times = np.arange(0.0, 10.0, 0.1)
-    values, own = true.value_vector, np.array([3.0, 0.5])
-    runner = kernel(true)
-    inputs = np.zeros((times.size, 0))
-    start = runner.start(own, inputs[0], values, 0.0)[0]
-    clean = runner.run(times, inputs, values, start).outputs
+    clean = simulate_inputs(true, times, inputs={}, initial=[3.0, 0.5]).outputs
     noisy = clean + 0.002 * np.random.default_rng(2).standard_normal(clean.shape)
-    data = Dataset((Record("drain", times, inputs, noisy, tank.channels),))
+    data = Dataset((Record("drain", times, [], noisy, tank.channels),))
     found = improve(tank, data, candidates=(overflow,))
     assert [step.added for step in found.steps] == ["overflow"]
     assert abs(found.model.values["share"] - 0.7) < 0.1
@@ -921,11 +913,8 @@ def test_a_bias_of_each_record_is_a_candidate() -> None:
 @pytest.mark.slow
 def test_a_bias_of_each_record_in_the_model_hides_nothing() -> None:
     """With record-wise biases in the nominal model the missing damping is found."""
-    bias = Sensor(
-        "bias", {"r": "r + b_r"}, (Parameter("b_r", 0.0, "rad/s", per_record=True, scale=0.01),)
-    )
     candidates = [DAMPING, CANDIDATES[1]]
-    result = improve(SHIP + bias, biased(31, N3), biased(32, N3), candidates=candidates)
+    result = improve(SHIP + GYRO_BIAS, biased(31, N3), biased(32, N3), candidates=candidates)
     assert [step.added for step in result.steps] == ["cubic_damping"]
     assert abs(result.fit.values["n3"] - N3) < 4 * result.fit.std_errors["n3"]
     for own, truth in zip(result.fit.local_values, BIASES, strict=True):

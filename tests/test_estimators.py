@@ -6,33 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from altered import overwritten
 from marks import slow
 
-from oed_sysid.baselines import (
-    CovarianceMatrixAdaptation,
-    DifferentialEvolution,
-    DifferentialSwarm,
-    EquationError,
-    GibbsRegression,
-    JointKalmanFilter,
-    LeastSquaresSVM,
-    OnlineRegression,
-    OutputError,
-    ParticleSwarm,
-    SupportVectorRegression,
-    TotalLeastSquares,
-)
+from oed_sysid import Dataset, Experiment, Fit, Multisine, Record, baselines, load_problem, simulate
+from oed_sysid.baselines import MultipleShooting, Multistart
 from oed_sysid.baselines.contest import load_scenario
-from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
-from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.experiments.manoeuvres import Multisine
-from oed_sysid.experiments.problem import load_problem
-from oed_sysid.experiments.simulation import simulate
-from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.multistart import Multistart
 from oed_sysid.likelihood.noise_levels import credible_levels, white_levels
+from oed_sysid.likelihood.start_guess import measured_states
 from oed_sysid.physics import Force, Parameter
 from oed_sysid.physics.channels import Channels, Input, Output, State
 from oed_sysid.physics.model import Model
@@ -68,23 +50,27 @@ TEST = Experiment(
 # cubics smear more; the others simulate.
 CASES = [
     (MultipleShooting(), 1e-6, 0.85, 10),
-    (OutputError(), 1e-6, 0.85, 10),
+    (baselines.OutputError(), 1e-6, 0.85, 10),
     (Multistart(n_starts=3, n_jobs=1), 1e-6, None, 0),
-    (JointKalmanFilter(), 1e-4, 0.85, 10),
-    *slow((JointKalmanFilter(kind="unscented"), 1e-3, 0.8, 4)),
-    (JointKalmanFilter(kind="unscented"), 1e-3, None, 0),
-    (EquationError(rule="simpson"), 5e-3, 0.85, 10),
-    (EquationError(window=9), 5e-3, None, 0),
-    (TotalLeastSquares(window=9), 5e-3, None, 0),
-    (LeastSquaresSVM(C=1e8), 5e-3, 0.85, 10),
-    (SupportVectorRegression(), 1e-2, None, 0),
-    (OnlineRegression(C=1e8), 5e-3, 0.85, 5),
-    (GibbsRegression(rule="simpson", n_draws=300), 5e-3, None, 0),
-    (GibbsRegression(rule="simpson", n_draws=2000, draw="coordinate"), 1e-2, None, 0),
-    *slow((DifferentialSwarm(n_particles=40, n_generations=120), 1e-3, None, 0)),
-    (DifferentialEvolution(n_particles=30, n_generations=80), 1e-3, None, 0),
-    (CovarianceMatrixAdaptation(n_generations=120), 1e-3, None, 0),
-    (ParticleSwarm(n_particles=30, n_generations=80), 1e-2, None, 0),
+    (baselines.JointKalmanFilter(), 1e-4, 0.85, 10),
+    *slow((baselines.JointKalmanFilter(kind="unscented"), 1e-3, 0.8, 4)),
+    (baselines.JointKalmanFilter(kind="unscented"), 1e-3, None, 0),
+    (baselines.EquationError(rule="simpson"), 5e-3, 0.85, 10),
+    (baselines.EquationError(window=9), 5e-3, None, 0),
+    (baselines.TotalLeastSquares(window=9), 5e-3, None, 0),
+    (baselines.LeastSquaresSVM(C=1e8), 5e-3, 0.85, 10),
+    (baselines.SupportVectorRegression(), 1e-2, None, 0),
+    (baselines.OnlineRegression(C=1e8), 5e-3, 0.85, 5),
+    (baselines.GibbsRegression(rule="simpson", n_draws=300), 5e-3, None, 0),
+    (baselines.GibbsRegression(rule="simpson", n_draws=2000, draw="coordinate"), 1e-2, None, 0),
+    *slow(
+        (baselines.DifferentialSwarm(n_particles=40, n_generations=120), 1e-3, 0.85, 12),
+        (baselines.DifferentialEvolution(n_particles=30, n_generations=80), 1e-3, 0.85, 12),
+        (baselines.CovarianceMatrixAdaptation(n_generations=120), 1e-3, 0.85, 12),
+    ),
+    (baselines.DifferentialEvolution(n_particles=30, n_generations=80), 1e-3, None, 0),
+    (baselines.CovarianceMatrixAdaptation(n_generations=120), 1e-3, None, 0),
+    (baselines.ParticleSwarm(n_particles=30, n_generations=80), 1e-2, None, 0),
 ]
 
 
@@ -105,28 +91,6 @@ def test_contract(
         tolerance=tolerance,
         coverage=coverage,
         n_repeats=n_repeats,
-    )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "estimator",
-    [
-        DifferentialSwarm(n_particles=40, n_generations=120),
-        DifferentialEvolution(n_particles=30, n_generations=80),
-        CovarianceMatrixAdaptation(n_generations=120),
-    ],
-    ids=lambda estimator: type(estimator).__name__,
-)
-def test_searches_cover_the_truth(estimator: object) -> None:
-    """Intervals of the population searches hold the truth over noise realisations."""
-    check_estimator(
-        estimator,  # type: ignore[arg-type]
-        YAW,
-        (TEST,),
-        rng=np.random.default_rng(8),
-        coverage=0.85,
-        n_repeats=12,
     )
 
 
@@ -189,9 +153,7 @@ def test_linear_model_gives_regularised_least_squares(kind: str) -> None:
     data = ramp_data()
     record = data[0]
     known = RAMP.with_parameter(replace(RAMP.parameter("slope"), prior_std=5.0))
-    fit = JointKalmanFilter(kind=kind).fit(known, data)
-    from oed_sysid.likelihood.start_guess import measured_states
-
+    fit = baselines.JointKalmanFilter(kind=kind).fit(known, data)
     start = measured_states(RAMP, record)[0][0]
     design = np.column_stack([np.ones(60), record.times]) / 0.3
     rows = np.vstack([design, [[1 / 3.0, 0.0], [0.0, 1 / 5.0]]])
@@ -209,9 +171,9 @@ def test_filters_find_the_parameters_of_an_auv() -> None:
     rng = np.random.default_rng(3)
     data = Dataset((simulate(model, problem.experiment("zigzag_10_10"), rng=rng),))
     start = model.with_values({name: 0.8 * model.values[name] for name in model.free_names})
-    reference = OutputError().fit(start, data)
+    reference = baselines.OutputError().fit(start, data)
     for kind in ("extended", "unscented"):
-        fit = JointKalmanFilter(kind=kind).fit(start, data)
+        fit = baselines.JointKalmanFilter(kind=kind).fit(start, data)
         assert 0.9 < fit.extras["innovation"] < 1.1
         for name in model.free_names:
             assert fit.values[name] == pytest.approx(model.values[name], rel=0.03)
@@ -229,8 +191,10 @@ def test_drift_is_followed() -> None:
     x = np.where(t < 20, t, 20 + 3 * (t - 20))
     x = x + 0.05 * np.random.default_rng(1).standard_normal(400)
     data = Dataset((Record("bend", t, np.empty((400, 0)), x, RAMP.channels),))
-    follows = JointKalmanFilter(drift_std={"slope": 0.5}, process_std={"x": 0.1}).fit(RAMP, data)
-    rigid = JointKalmanFilter().fit(RAMP, data)
+    follows = baselines.JointKalmanFilter(drift_std={"slope": 0.5}, process_std={"x": 0.1}).fit(
+        RAMP, data
+    )
+    rigid = baselines.JointKalmanFilter().fit(RAMP, data)
     assert follows.values["slope"] == pytest.approx(3.0, abs=0.2)
     assert follows.extras["history"]["slope"][150] == pytest.approx(1.0, abs=0.3)
     assert abs(rigid.values["slope"] - 3.0) > 0.5
@@ -239,19 +203,17 @@ def test_drift_is_followed() -> None:
 def test_missing_samples_widen_the_errors() -> None:
     """Samples that are missing are passed over, and the errors grow."""
     data = ramp_data()
-    outputs = data[0].outputs.copy()
-    outputs[1::2] = np.nan
-    full = JointKalmanFilter().fit(RAMP, data)
-    half = JointKalmanFilter().fit(RAMP, Dataset((data[0].with_outputs(outputs),)))
+    full = baselines.JointKalmanFilter().fit(RAMP, data)
+    half = baselines.JointKalmanFilter().fit(RAMP, overwritten(data, 0, np.s_[1::2], np.nan))
     assert half.std_errors["slope"] == pytest.approx(np.sqrt(2) * full.std_errors["slope"], rel=0.1)
 
 
 def test_unknown_names_are_refused() -> None:
     """Settings that name a state or parameter that does not exist are errors."""
     with pytest.raises(ModelError, match="process_std names 'y'"):
-        JointKalmanFilter(process_std={"y": 1.0}).fit(RAMP, ramp_data())
+        baselines.JointKalmanFilter(process_std={"y": 1.0}).fit(RAMP, ramp_data())
     with pytest.raises(ModelError, match="kind is"):
-        JointKalmanFilter(kind="particle")
+        baselines.JointKalmanFilter(kind="particle")
 
 
 @pytest.mark.slow
@@ -265,7 +227,7 @@ def test_points_far_out_make_the_unscented_filter_too_sure() -> None:
         data = Dataset(tuple(simulate(model, run, rng=rng) for run in scenario.train))
         away = {n: v * (1 + 0.3 * rng.uniform(-1, 1)) for n, v in scenario.truth.items()}
         for reach, found in held.items():
-            filter_ = JointKalmanFilter("unscented", reach=reach)
+            filter_ = baselines.JointKalmanFilter("unscented", reach=reach)
             fit = filter_.fit(model.with_values(away), data)
             intervals = {name: fit.interval(name) for name in fit.names}
             found += [low <= scenario.truth[n] <= high for n, (low, high) in intervals.items()]

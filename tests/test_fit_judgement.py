@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from altered import part
 from marks import slow
+from motion import outputs
 from scipy.stats import false_discovery_control, norm
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model
 
@@ -488,11 +490,7 @@ SHIP = Model(
         State("r", "rad/s", "yaw rate", scale=0.05),
     ),
     inputs=(Input("rudder", "rad"), Input("thrust", "m/s^2")),
-    outputs=(
-        Output("u", "m/s", noise_std=NOISE_SPIKES[0]),
-        Output("psi", "rad", noise_std=NOISE_SPIKES[1]),
-        Output("r", "rad/s", noise_std=NOISE_SPIKES[2]),
-    ),
+    outputs=outputs("u psi r", **dict(zip(("u", "psi", "r"), NOISE_SPIKES, strict=True))),
     kinematics={
         "u": "push - a*u*abs(u) - drag*u**2*delta**2",
         "psi": "r",
@@ -791,15 +789,8 @@ def test_drift_of_an_integrated_output_is_no_fault(zigzag: Record) -> None:
 
 def test_few_samples_are_grave(zigzag: Record) -> None:
     """Six samples cannot carry two parameters, two start states and two levels."""
-    rows = slice(0, None, len(zigzag.times) // 5)
-    record = noisy(zigzag)
-    six = replace(
-        record,
-        times=record.times[rows][:6],
-        inputs=record.inputs[rows][:6],
-        outputs=record.outputs[rows][:6],
-    )
-    fit = fitted(six)
+    step = len(zigzag.times) // 5
+    fit = fitted(part(noisy(zigzag), slice(0, 5 * step + 1, step)))
     assert "few_samples" in {concern.kind for concern in fit.grave}
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from altered import overwritten
 from scipy.optimize import least_squares, lsq_linear
 from steered_ship import YAW, two
 from test_shooting import LAG, diving_data
@@ -252,10 +253,9 @@ def test_both_ways_end_at_the_same_optimum(problem, monkeypatch: pytest.MonkeyPa
 
 def test_robust_losses_are_weighed_sample_by_sample() -> None:
     """With a robust loss the solution is stationary for the weighted residuals."""
-    data = yaw_data(1)
-    outputs = data[0].outputs.copy()
-    outputs[10:14, 0] += 40 * NOISE[0]
-    shooting = Shooting(yaw_model(), Dataset((data[0].with_outputs(outputs),)), NOISE)
+    data = Dataset(yaw_data(1).records[:1])
+    off = overwritten(data, 0, np.s_[10:14, 0], data[0].outputs[10:14, 0] + 40 * NOISE[0])
+    shooting = Shooting(yaw_model(), off, NOISE)
     robust = shooting.having(loss=loss_by_name("huber"))
     plain, solution = (solve(s, s.start_point()) for s in (shooting, robust))
     matrix, right = robust.normal_equations(solution.linearisation)
@@ -411,22 +411,16 @@ def test_truth_stays_near_the_truth() -> None:
     assert unknowns[1] == pytest.approx(TRUE["T"], rel=0.2)
 
 
-def test_bounds_and_held_unknowns_are_respected() -> None:
-    """Bounds hold on the way in, too."""
-    model = yaw_model(T=Parameter("T", 30.0, lower=10.0, upper=40.0)).with_values(
+def test_bounds_and_priors_are_respected() -> None:
+    """Bounds hold on the way in, too; a tight prior keeps a parameter where it is known to be."""
+    bounded = yaw_model(T=Parameter("T", 30.0, lower=10.0, upper=40.0)).with_values(
         {"K": -0.4, "alpha": -40.0}
     )
-    shooting = Shooting(model, yaw_data(), NOISE)
-    unknowns = climb(shooting, shooting.start_unknowns(), 5)
-    assert 10.0 <= unknowns[1] <= 40.0
-
-
-def test_priors_are_respected() -> None:
-    """A tight prior keeps a parameter where it is known to be."""
-    model = yaw_model(alpha=Parameter("alpha", 12.0, prior_mean=30.0, prior_std=1e-3))
-    shooting = Shooting(model, yaw_data(), NOISE)
-    unknowns = climb(shooting, shooting.start_unknowns(), 5)
-    assert unknowns[2] == pytest.approx(30.0, abs=0.01)
+    known = yaw_model(alpha=Parameter("alpha", 12.0, prior_mean=30.0, prior_std=1e-3))
+    problems = [Shooting(model, yaw_data(), NOISE) for model in (bounded, known)]
+    held, near = (climb(problem, problem.start_unknowns(), 5) for problem in problems)
+    assert 10.0 <= held[1] <= 40.0
+    assert near[2] == pytest.approx(30.0, abs=0.01)
 
 
 def test_result_is_a_point_of_the_real_problem() -> None:
@@ -470,6 +464,12 @@ def test_eliminated_start_states_leave_the_slope_of_the_whole_cost(horizon: floa
 CONDENSED = MultipleShooting(noise=NOISE, coloured="never", disturbances="none")
 
 
+def constrained(*constraints: str, **settings: object) -> MultipleShooting:
+    """An estimator of known levels by IPOPT."""
+    solver = Solver("ipopt", constraints=constraints)
+    return MultipleShooting(noise=NOISE, solver=solver, **settings)  # type: ignore[arg-type]
+
+
 def difference(fit, other) -> float:  # type: ignore[no-untyped-def]
     """Largest difference of two fits in standard errors."""
     return float(np.max(np.abs(fit.estimates - other.estimates) / np.sqrt(np.diag(fit.covariance))))
@@ -479,10 +479,7 @@ def difference(fit, other) -> float:  # type: ignore[no-untyped-def]
 @pytest.mark.parametrize("irregular", [False, True])
 def test_same_optimum_as_gauss_newton(hessian: str, irregular: bool) -> None:
     """Several records, remainders, gaps and irregular sampling: same estimates and errors."""
-    data = yaw_data(1, irregular=irregular)
-    outputs = data[0].outputs.copy()
-    outputs[30:50] = np.nan
-    data = Dataset((data[0].with_outputs(outputs), *data.records[1:]))
+    data = overwritten(yaw_data(1, irregular=irregular), 0, np.s_[30:50], np.nan)
     model = yaw_model(
         K=Parameter("K", 0.08, per_record=True),
         alpha=Parameter("alpha", 5.0, prior_mean=12.0, prior_std=2.0),
@@ -516,14 +513,10 @@ def test_memory_and_substeps() -> None:
 def test_robust_losses(loss: str) -> None:
     """Robust losses have the same optimum in both solvers."""
     data = yaw_data(2)
-    outputs = data[0].outputs.copy()
-    outputs[::17] += 0.1
-    data = Dataset((data[0].with_outputs(outputs), *data.records[1:]))
-    condensed = MultipleShooting(noise=NOISE, loss=loss, solver=Solver(tolerance=1e-9)).fit(
-        yaw_model(), data
-    )
-    program = MultipleShooting(noise=NOISE, loss=loss, solver=Solver("ipopt", hessian="exact")).fit(
-        yaw_model(), data
+    data = overwritten(data, 0, np.s_[::17], data[0].outputs[::17] + 0.1)
+    condensed, program = (
+        MultipleShooting(noise=NOISE, loss=loss, solver=solver).fit(yaw_model(), data)
+        for solver in (Solver(tolerance=1e-9), Solver("ipopt", hessian="exact"))
     )
     assert difference(condensed, program) < 0.02
     assert program.cost == pytest.approx(condensed.cost, rel=1e-5)
@@ -533,9 +526,7 @@ def test_bounds() -> None:
     """An active bound is held exactly."""
     model = yaw_model(T=Parameter("T", 6.0, lower=0.5, upper=7.5))
     condensed = CONDENSED.fit(model, yaw_data(3))
-    program = MultipleShooting(noise=NOISE, disturbances="none", solver=Solver("ipopt")).fit(
-        model, yaw_data(3)
-    )
+    program = constrained(disturbances="none").fit(model, yaw_data(3))
     assert program.values["T"] == pytest.approx(7.5, abs=1e-6)
     assert program.cost == pytest.approx(condensed.cost, abs=1e-4)
 
@@ -543,33 +534,26 @@ def test_bounds() -> None:
 def test_constraints_among_parameters() -> None:
     """An equation among parameters is the same as eliminating one of them."""
     data = yaw_data(4)
-    constrained = MultipleShooting(
-        noise=NOISE, solver=Solver("ipopt", constraints=("alpha == 1.2*T", "K/T > 0.001"))
-    ).fit(yaw_model(), data)
-    assert constrained.status.ok
-    assert constrained.values["alpha"] == pytest.approx(1.2 * constrained.values["T"], rel=1e-6)
-    tied = yaw_model()
-    tied = type(tied)(
-        **{
-            **{f: getattr(tied, f) for f in ("name", "states", "inputs", "outputs", "step")},
-            "kinematics": {"psi": "r", "r": "(K*delta - r - 1.2*T*r**3)/T"},
-            "parameters": (tied.parameter("K"), tied.parameter("T")),
-        }
+    fit = constrained("alpha == 1.2*T", "K/T > 0.001").fit(yaw_model(), data)
+    assert fit.status.ok
+    assert fit.values["alpha"] == pytest.approx(1.2 * fit.values["T"], rel=1e-6)
+    tied = replace(
+        yaw_model(),
+        kinematics={"psi": "r", "r": "(K*delta - r - 1.2*T*r**3)/T"},
+        parameters=tuple(p for p in yaw_model().parameters if p.name != "alpha"),
     )
     eliminated = CONDENSED.fit(tied, data)
-    assert constrained.cost == pytest.approx(eliminated.cost, abs=1e-3)
-    assert constrained.values["T"] == pytest.approx(eliminated.values["T"], rel=1e-3)
+    assert fit.cost == pytest.approx(eliminated.cost, abs=1e-3)
+    assert fit.values["T"] == pytest.approx(eliminated.values["T"], rel=1e-3)
     # So are the errors, which the constraint ties as it does the values.
     for name in ("K", "T"):
-        assert constrained.std_errors[name] == pytest.approx(eliminated.std_errors[name], rel=1e-2)
-    assert constrained.std_errors["alpha"] == pytest.approx(1.2 * constrained.std_errors["T"])
+        assert fit.std_errors[name] == pytest.approx(eliminated.std_errors[name], rel=1e-2)
+    assert fit.std_errors["alpha"] == pytest.approx(1.2 * fit.std_errors["T"])
 
 
 def test_contradictions_are_said() -> None:
     """Constraints that exclude each other end with a status, not an exception."""
-    fit = MultipleShooting(
-        noise=NOISE, solver=Solver("ipopt", constraints=("K > 0.3", "K < 0.01"))
-    ).fit(yaw_model(), yaw_data(4))
+    fit = constrained("K > 0.3", "K < 0.01").fit(yaw_model(), yaw_data(4))
     assert fit.status.code == "infeasible"
     assert "Loosen" in fit.status.advice
 
@@ -599,12 +583,10 @@ def test_limit_of_iterations() -> None:
 def test_a_path_is_kept_at_every_sample() -> None:
     """A limit below the largest yaw rate is held everywhere, and named with where it binds."""
     data = yaw_data(4)
-    free = MultipleShooting(noise=NOISE, solver=Solver("ipopt")).fit(yaw_model(), data)
+    free = constrained().fit(yaw_model(), data)
     most = max(float(one[:, 1].max()) for one in free.predictions)
     limit = 0.98 * most
-    kept = MultipleShooting(
-        noise=NOISE, solver=Solver("ipopt", constraints=(f"r <= {limit!r}",))
-    ).fit(yaw_model(), data)
+    kept = constrained(f"r <= {limit!r}").fit(yaw_model(), data)
     assert kept.status.ok
     assert max(float(one[:, 1].max()) for one in kept.predictions) == pytest.approx(limit, rel=1e-5)
     assert kept.cost > free.cost
@@ -628,8 +610,7 @@ def test_a_limit_narrows_the_errors_of_what_it_holds() -> None:
     data = yaw_data(4)
     free = MultipleShooting(noise=NOISE).fit(yaw_model(), data)
     limit = free.values["T"] - 1.5 * free.std_errors["T"]
-    fit = MultipleShooting(noise=NOISE, solver=Solver("ipopt", constraints=(f"T <= {limit!r}",)))
-    held = fit.fit(yaw_model(), data)
+    held = constrained(f"T <= {limit!r}").fit(yaw_model(), data)
     drawn = np.random.default_rng(0).multivariate_normal(
         free.estimates, free.covariance, size=400_000
     )
@@ -655,9 +636,7 @@ def test_ends_are_kept() -> None:
     assert known.cost == pytest.approx(fit.cost, rel=1e-5)
     assert np.allclose(fit.covariance, known.covariance, rtol=0.02)
     end = min(float(one[-1, 0]) for one in fit.predictions) + 0.002
-    both = MultipleShooting(
-        noise=NOISE, solver=Solver("ipopt", constraints=(tied, f"end(psi) >= {end!r}"))
-    ).fit(yaw_model(), data)
+    both = constrained(tied, f"end(psi) >= {end!r}").fit(yaw_model(), data)
     assert min(float(one[-1, 0]) for one in both.predictions) == pytest.approx(end, abs=1e-6)
     assert any(one.text.startswith("end(psi) >= ") for one in both.binding)
 
@@ -675,9 +654,7 @@ def test_ends_are_kept() -> None:
 def test_unreadable_constraints_are_refused(constraint: str, words: str) -> None:
     """A constraint compares expressions of known parameters."""
     with pytest.raises(ModelError, match=words):
-        MultipleShooting(noise=NOISE, solver=Solver("ipopt", constraints=(constraint,))).fit(
-            yaw_model(), yaw_data(0)
-        )
+        constrained(constraint).fit(yaw_model(), yaw_data(0))
 
 
 def test_the_program_with_process_noise_ends_where_gauss_newton_does() -> None:

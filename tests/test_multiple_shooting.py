@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from altered import overwritten
 from scipy.optimize import least_squares
 from test_shooting import diving_data
 from vehicles import remus
@@ -20,7 +21,7 @@ ESTIMATOR = MultipleShooting(noise=NOISE, coloured="never", disturbances="none")
 
 
 def reference(
-    data: Dataset, prior: dict[str, tuple[float, float]] | None = None, **options: object
+    data: Dataset, prior: dict[str, tuple[float, float]] | None = None
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Optimum, covariance of (K, T, alpha) and half the sum of squares, by SciPy."""
     names = list(TRUE)
@@ -39,9 +40,7 @@ def reference(
     starts = [np.nan_to_num(record.outputs[0]) for record in data]
     guess = np.concatenate([list(TRUE.values()), *starts])
     scale = np.concatenate([np.abs(guess[:3]), np.full(len(guess) - 3, 0.05)])
-    found = least_squares(
-        residuals, guess, x_scale=scale, xtol=1e-12, ftol=1e-12, gtol=1e-12, **options
-    )
+    found = least_squares(residuals, guess, x_scale=scale, xtol=1e-12, ftol=1e-12, gtol=1e-12)
     covariance = np.linalg.inv(found.jac.T @ found.jac)
     return found.x, covariance[:3, :3], found.cost
 
@@ -53,10 +52,7 @@ def errors_apart(estimates: np.ndarray, others: np.ndarray, covariance: np.ndarr
 
 def with_gaps(data: Dataset) -> Dataset:
     """Rate missing over a stretch of one record, heading at every third sample."""
-    outputs = data[0].outputs.copy()
-    outputs[20:90, 1] = np.nan
-    outputs[::3, 0] = np.nan
-    return Dataset((data[0].with_outputs(outputs), *data.records[1:]))
+    return overwritten(overwritten(data, 0, np.s_[20:90, 1], np.nan), 0, np.s_[::3, 0], np.nan)
 
 
 @pytest.mark.parametrize("kind", ["plain", "gaps", "irregular"])
@@ -79,9 +75,7 @@ def test_the_interval_does_not_change_the_optimum(interval: float) -> None:
     """Single shooting and multiple shooting with any interval end at the same place."""
     data = yaw_data(2)
     expected = ESTIMATOR.fit(yaw_model(), data)
-    other = MultipleShooting(
-        noise=NOISE, interval=interval, coloured="never", disturbances="none"
-    ).fit(yaw_model(), data)
+    other = replace(ESTIMATOR, interval=interval).fit(yaw_model(), data)
     assert errors_apart(other.estimates, expected.estimates, expected.covariance) < 2e-3
     assert np.allclose(other.covariance, expected.covariance, rtol=1e-3)
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from altered import overwritten
 from vehicles import DIVING_START, remus
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model
 
@@ -29,9 +30,8 @@ def diving_data(model: Model, n: int = 60) -> Dataset:
     run = simulate_inputs(
         model, times, inputs={"fin_command": fin, "thrust": 9.0}, initial=DIVING_START
     )
-    outputs = run.outputs.copy()
-    outputs[::2, -1] = np.nan
-    return Dataset((Record("dive", times, run.inputs, outputs, model.channels),))
+    data = Dataset((Record("dive", times, run.inputs, run.outputs, model.channels),))
+    return overwritten(data, 0, np.s_[::2, -1], np.nan)
 
 
 @pytest.mark.parametrize("interval", [None, 5.0, np.inf])
@@ -87,10 +87,7 @@ def test_a_full_step_closes_the_defects_of_a_linear_model() -> None:
 
 def test_normal_equations_are_those_of_the_stacked_jacobian() -> None:
     """Matrix and right side come from the dense whitened Jacobian, gaps weighing nothing."""
-    data = yaw_data(3)
-    outputs = data[0].outputs.copy()
-    outputs[5:40, 1] = np.nan
-    data = Dataset((data[0].with_outputs(outputs), *data.records[1:]))
+    data = overwritten(yaw_data(3), 0, np.s_[5:40, 1], np.nan)
     shooting = Shooting(yaw_model(), data, NOISE)
     lin = shooting.linearise(shooting.start_point())
     matrix, right = shooting.normal_equations(lin)

@@ -7,24 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from altered import altered
 from marks import slow
+from motion import outputs, states
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from test_captive import TRUTH, ship
 from turning_ship import SHIP, dataset
 
-from oed_sysid import diagnose, usual_effects
-from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid import Dataset, Record, check, compare, diagnose, improve, simulate, usual_effects
 from oed_sysid.errors import DataError, OedSysidError
-from oed_sysid.evidence.check import check
-from oed_sysid.evidence.compare import compare
-from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.misfit import failing
 from oed_sysid.evidence.preparation import prepared
 from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import Sizes, equipped, settled
 from oed_sysid.experiments.problem import Problem, load_problem
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.likelihood.departures import other_way
 from oed_sysid.likelihood.fit import Fit
@@ -225,11 +222,9 @@ def test_a_constant_log_is_refused_in_words() -> None:
 
 HOVERCRAFT = Model(
     name="hovercraft",
-    states=(State("u", "m/s"), State("v", "m/s"), State("r", "rad/s"), State("psi", "rad"),
-            State("x", "m"), State("y", "m")),
+    states=states("u v r psi x y"),
     inputs=(Input("fan", "N"), Input("vane", "rad")),
-    outputs=(Output("x", "m", noise_std=0.05), Output("y", "m", noise_std=0.05),
-             Output("psi", "rad", noise_std=0.005)),
+    outputs=outputs("x y psi", x=0.05, y=0.05, psi=0.005),
     axes={"X": "u", "Y": "v", "N": "r"},
     inertia={("X", "u"): "m", ("Y", "v"): "m", ("N", "r"): "I"},
     kinematics={"psi": "r", "x": "u*cos(psi) - v*sin(psi)", "y": "u*sin(psi) + v*cos(psi)"},
@@ -280,9 +275,9 @@ def hovercraft_run(hidden: str, seed: int, n_times: int = 300, dt: float = 0.2) 
             angle = angle + TRIMS[seed]
         done = solve_ivp(rate, (0, dt), state, args=(thrust, angle), rtol=1e-8, atol=1e-9)
         state = done.y[:, -1]
-    outputs = np.array(seen) + rng.standard_normal((n_times, 3)) * [0.05, 0.05, 0.005]
+    noisy = np.array(seen) + rng.standard_normal((n_times, 3)) * [0.05, 0.05, 0.005]
     inputs = np.column_stack([fan, vane])
-    return Record(f"run {seed}", times, inputs, outputs, HOVERCRAFT.channels)
+    return Record(f"run {seed}", times, inputs, noisy, HOVERCRAFT.channels)
 
 
 HIDDEN = ("wind_by_record", "", "quadratic_N_r", "vane_deadband", "wind", "vane_offset_by_record")
@@ -308,18 +303,13 @@ def test_a_vehicle_that_nobody_prepared(hidden: str) -> None:
 def test_a_late_gyro_brings_a_candidate_of_its_own() -> None:
     """What the check of the logs finds late is asked as a delay, and nothing else is."""
     clean = records("auv_diving_plane", seed=3)
-    late = []
-    for record in clean:
-        outputs = record.outputs.copy()
-        q = record.channels.output_names.index("q")
-        outputs[5:, q] = record.outputs[:-5, q]
-        late.append(record.with_outputs(outputs))
-    model, data = load_problem("auv_diving_plane").model, Dataset(tuple(late))
+    data = altered(clean, q=lambda record: np.r_[record.output("q")[:5], record.output("q")[:-5]])
+    model = load_problem("auv_diving_plane").model
     usual, notes = settled(model, data, None, check(data, model))
     (delay,) = [effect for effect in usual if effect.name.startswith("delay_")]
     assert delay.name == "delay_q"
     (size,) = delay.parameters
-    assert size.scale == pytest.approx(5 * late[0].sample_time, rel=0.1)
+    assert size.scale == pytest.approx(5 * data[0].sample_time, rel=0.1)
     assert any("delay_q" in note for note in notes)
     others, _ = settled(model, clean, None, check(clean, model))
     assert not [effect for effect in others if effect.name.startswith("delay_")]
@@ -419,13 +409,9 @@ TRUE = {"K": 0.05, "n": 1.0, "n3": 400.0, "b": 0.02, "d0": 0.01, "U": 5.0}
 # Drift and yaw of a ship by its rudder, which appears in both; the zero of its rudder is unknown.
 SHIP_WAY = Model(
     "drifting",
-    (State("psi", "rad"), State("r", "rad/s", scale=0.02), State("v", "m/s", scale=0.2)),
+    states("psi r v", r=0.02, v=0.2),
     (Input("rudder", "rad"),),
-    (
-        Output("psi", "rad", noise_std=0.003),
-        Output("r", "rad/s", noise_std=3e-4),
-        Output("v", "m/s", noise_std=0.01),
-    ),
+    outputs("psi r v", psi=0.003, r=3e-4, v=0.01),
     {
         "psi": "r",
         "r": "(K*(rudder + d0) - n*r - n3*r**3)/20",
