@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from altered import trials
 
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
@@ -25,18 +26,18 @@ from oed_sysid.design import (
     ZigZags,
     design_experiment,
 )
-from oed_sysid.design.criteria import Setting, eliminate
+from oed_sysid.design.criteria import Measure, Setting, eliminate
 from oed_sysid.design.knowledge import ExpectedInformation
 from oed_sysid.design.objective import Objective
 from oed_sysid.design.trial import Task
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment, Limits
-from oed_sysid.experiments.experiment import Experiment as Plan
-from oed_sysid.experiments.manoeuvres import Doublet
+from oed_sysid.experiments.manoeuvres import Doublet, ThreeTwoOneOne
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.information import information_of, noise_of
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics import Force
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
@@ -76,6 +77,37 @@ def quick(model: Model | object = None, **changes: object) -> Design:
     return design_experiment(model or ship(), **taken, **settings)  # type: ignore[arg-type]
 
 
+def sea(level: float, colour: float = 0.0) -> NoiseModel:
+    """Random yaw acceleration of three seconds, and colour of the rate sensor."""
+    return NoiseModel(
+        np.array([5e-3, 2e-3]), np.array([0.0, colour]), np.array([level]), colour_time=1.0,
+        force_time=3.0, outputs=("psi", "r"), places=("force r",),
+    )  # fmt: skip
+
+
+def straight() -> Model:
+    """The ship believed to have linear damping only."""
+    return ship().with_values({"c": 0.0}).fix("c")
+
+
+def weak_and_strong(rng: np.random.Generator) -> Dataset:
+    """Runs of 3-2-1-1 of the ship, of small and of large rudder angles."""
+    settings = {"duration": 60.0, "sample_time": 0.25}
+    steps = [ThreeTwoOneOne("rudder", size, unit_time=5.0) for size in (0.1, 0.35)]
+    runs = [Experiment(f"run {i}", one, **settings) for i, one in enumerate(steps, 1)]
+    return trials(ship(), runs, rng)
+
+
+def assert_slope(measure: Measure, rows: np.ndarray, rng: np.random.Generator) -> None:
+    """The gradient of a measure of information is what differences find along a direction."""
+    matrix = rows.T @ rows
+    _, gradient = measure(matrix)
+    direction = rng.standard_normal(matrix.shape)
+    direction = direction @ direction.T
+    slope = (measure(matrix + 1e-6 * direction)[0] - measure(matrix - 1e-6 * direction)[0]) / 2e-6
+    assert np.sum(gradient * direction) == pytest.approx(slope, rel=1e-5)
+
+
 @pytest.fixture(scope="module")
 def designed() -> Design:
     """One D-optimal design that several tests look at."""
@@ -89,7 +121,10 @@ def grid(rate: float = np.inf) -> Grid:
 
 
 SETTING = Setting(ship(), ("b", "d", "c"), np.array([0.12, 0.4, 1.5]), noise_of(ship()))
-TURN = Plan("turn", Doublet("rudder", 0.2, pulse_time=5.0), duration=20.0, sample_time=0.5)
+DOUBLET = Experiment(
+    "doublet", Doublet("rudder", 0.2, pulse_time=8.0), duration=40.0, sample_time=0.5
+)
+TURN = Experiment("turn", Doublet("rudder", 0.2, pulse_time=5.0), duration=20.0, sample_time=0.5)
 
 
 def test_discrimination_gradient_equals_differences() -> None:
@@ -99,13 +134,7 @@ def test_discrimination_gradient_equals_differences() -> None:
     criterion = Discriminate(rivals)
     measure = criterion.bind(replace(SETTING, shifts=criterion.shifts(ship())))
     rng = np.random.default_rng(1)
-    rows = rng.standard_normal((20, 5))
-    matrix = rows.T @ rows
-    _, gradient = measure(matrix)
-    direction = rng.standard_normal((5, 5))
-    direction = direction @ direction.T
-    slope = (measure(matrix + 1e-6 * direction)[0] - measure(matrix - 1e-6 * direction)[0]) / 2e-6
-    assert np.sum(gradient * direction) == pytest.approx(slope, rel=1e-5)
+    assert_slope(measure, rng.standard_normal((20, 5)), rng)
 
 
 def test_elimination_is_the_inverse_block() -> None:
@@ -348,8 +377,7 @@ def _smallest_misfit(rivals: tuple[Force, ...], commands: np.ndarray) -> float:
     found = Discriminate(rivals, size=1.0).shifts(model)
     times = np.arange(len(commands)) * 0.5
     runner = kernel(model)
-    z, _ = runner.start(np.zeros(2), commands[0], model.value_vector, 0.0)
-    run = runner.run(times, commands, model.value_vector, z, sensitivities=True)
+    run = runner.run(times, commands, model.value_vector, np.zeros(2), sensitivities=True)
     assert run.output_sensitivities is not None
     sigma = np.array([5e-3, 2e-3])
     base = (run.output_sensitivities / sigma[:, None]).reshape(-1, 5)

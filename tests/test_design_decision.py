@@ -7,29 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import norm
-from test_design import LIMITS, quick, ship
+from test_design import LIMITS, TURN, assert_slope, quick, sea, ship, straight, weak_and_strong
 
-from oed_sysid import Dataset, Experiment, Force, Limits, MultipleShooting, NoiseModel, Parameter
-from oed_sysid.design import (
-    Budget,
-    Candidate,
-    Detect,
-    Discriminate,
-    Knowledge,
-    ParameterGoal,
-    PredictionGoal,
-    ProgrammeSearch,
-    Search,
-    Trial,
-    candidate_runs,
-    decide,
-    design_experiment,
-    design_programme,
-    goals_of,
-)
+from oed_sysid import Dataset, Experiment, Force, Limits, MultipleShooting, Parameter, design
 from oed_sysid.design.criteria import Setting, log_power, told_apart
 from oed_sysid.errors import DesignError
-from oed_sysid.experiments.manoeuvres import Doublet, ThreeTwoOneOne
+from oed_sysid.experiments.manoeuvres import Doublet
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information import information_of, plays
 from oed_sysid.information.bound import RunInformation
@@ -37,13 +20,12 @@ from oed_sysid.information.shifts import Shifts
 
 PATTERN = Experiment("pattern", duration=40.0, sample_time=0.5)
 WHITE = MultipleShooting(disturbances="none", noise="given")
-TURN = Experiment("turn", Doublet("rudder", 0.2, pulse_time=5.0), duration=20.0, sample_time=0.5)
 
 
 @pytest.fixture(name="candidates", scope="module")
-def _candidates() -> tuple[Candidate, ...]:
+def _candidates() -> tuple[design.Candidate, ...]:
     """Runs of every kind that does not react, and two zigzags, which take far longer."""
-    runs = candidate_runs(
+    runs = design.candidate_runs(
         ship(), PATTERN, limits=LIMITS, rng=np.random.default_rng(0), turnaround=300.0
     )
     kept = ("zigzag 5/5", "zigzag 20/20")
@@ -51,7 +33,7 @@ def _candidates() -> tuple[Candidate, ...]:
 
 
 @pytest.fixture(name="fit", scope="module")
-def _fit(candidates: tuple[Candidate, ...]) -> object:
+def _fit(candidates: tuple[design.Candidate, ...]) -> object:
     """What is known after one gentle run."""
     gentle = next(run for run in candidates if run.kind == "zigzag").experiment
     record = simulate(ship(), gentle, rng=np.random.default_rng(1))
@@ -60,13 +42,13 @@ def _fit(candidates: tuple[Candidate, ...]) -> object:
 
 def test_the_next_run_buys_most_of_all(fit, candidates) -> None:
     """No other safe candidate lowers the errors that are asked for further per hour."""
-    goals = goals_of(fit.model, {"all": 0.005})
-    found = decide(fit, candidates, goals, rng=np.random.default_rng(0))
+    goals = design.goals_of(fit.model, {"all": 0.005})
+    found = design.decide(fit, candidates, goals, rng=np.random.default_rng(0))
     assert found.action == "go on"
     assert found.next_run is not None
     sizes = np.abs([fit.model.values[n] for n in fit.names])
 
-    def left(run: Candidate) -> float:
+    def left(run: design.Candidate) -> float:
         known = information_of(fit.model, run.experiment, noise=fit.sigma, priors=fit.information)
         return float(np.sum(np.log(np.maximum(known.std_errors / sizes, 0.005))))
 
@@ -85,15 +67,15 @@ def test_it_stops_when_enough_is_known_and_forecasts_the_rest(fit, candidates) -
     errors = np.array(list(fit.std_errors.values()))
     worst = float((errors / np.abs(list(fit.values.values()))).max())
     rng = np.random.default_rng(0)
-    met = goals_of(fit.model, {"all": 1.05 * worst})
-    check = decide(fit, candidates, met, rng=rng)
+    met = design.goals_of(fit.model, {"all": 1.05 * worst})
+    check = design.decide(fit, candidates, met, rng=rng)
     assert check.action == "go on"
     assert not check.unmet
     assert check.runs_left == 1
     assert check.next_run is not None
     again = simulate(ship(), check.next_run.experiment, rng=np.random.default_rng(2))
     both = WHITE.fit(ship(), Dataset((*fit.dataset, replace(again, name="check"))))
-    enough = decide(both, candidates, met, rng=rng)
+    enough = design.decide(both, candidates, met, rng=rng)
     assert enough.answer(2, 0.18) == (
         "STOP after 2 runs, 0.18 h: everything asked for is known well enough."
     )
@@ -101,16 +83,18 @@ def test_it_stops_when_enough_is_known_and_forecasts_the_rest(fit, candidates) -
     assert enough.action == "enough"
     assert enough.contradiction is None
     assert enough.report().startswith("STOP: everything")
-    closed = decide(fit, [c for c in candidates if c.kind != "straight"], met, rng=rng,
+    closed = design.decide(fit, [c for c in candidates if c.kind != "straight"], met, rng=rng,
                     limits=Limits(signals={"psi": (-1e-6, 1e-6)}))  # fmt: skip
     assert closed.action == "unchecked"
     some, more = (
-        decide(fit, candidates, goals_of(fit.model, {"all": share * worst}), rng=rng)
+        design.decide(fit, candidates, design.goals_of(fit.model, {"all": share * worst}), rng=rng)
         for share in (0.5, 0.01)
     )
     assert 1 <= some.runs_left < more.runs_left
     assert some.hours_left == pytest.approx(some.runs_left * 340.0 / 3600.0)
-    late = decide(fit, candidates, goals_of(fit.model, {"all": 0.5 * worst}), rng=rng, hours=0.05)
+    late = design.decide(
+        fit, candidates, design.goals_of(fit.model, {"all": 0.5 * worst}), rng=rng, hours=0.05
+    )
     assert late.action == "no time"
     n = len(fit.names)
     met = sum(one.is_met for one in late.goals)
@@ -121,8 +105,8 @@ def test_a_run_that_all_but_meets_a_goal_is_no_reason_to_go_home(fit, candidates
     """A goal that is missed by a thousandth is met by the next run, and not called hopeless."""
     errors = np.array(list(fit.std_errors.values()))
     worst = float((errors / np.abs(list(fit.values.values()))).max())
-    goals = goals_of(fit.model, {"all": worst / 1.001})
-    found = decide(fit, candidates, goals, rng=np.random.default_rng(0))
+    goals = design.goals_of(fit.model, {"all": worst / 1.001})
+    found = design.decide(fit, candidates, goals, rng=np.random.default_rng(0))
     assert sum(not one.is_met for one in found.goals) == 1
     assert found.action == "go on"
     assert found.runs_left == 1
@@ -131,23 +115,12 @@ def test_a_run_that_all_but_meets_a_goal_is_no_reason_to_go_home(fit, candidates
 
 def test_runs_that_contradict_one_another_are_not_enough(candidates) -> None:
     """The model lacks quadratic damping: errors say that all is known, weak and strong runs not."""
-    known = ship().parameter("c")
-    linear = replace(
-        ship(),
-        parameters=tuple(
-            replace(known, value=0.0, fixed=True) if p.name == "c" else p for p in ship().parameters
-        ),
-    )
-    rng = np.random.default_rng(3)
-    records = []
-    for index, size in enumerate((0.1, 0.35)):
-        run = Experiment(f"run {index + 1}", ThreeTwoOneOne("rudder", size, unit_time=5.0),
-                         duration=60.0, sample_time=0.25)  # fmt: skip
-        records.append(simulate(ship(), run, rng=rng))
-    goals = goals_of(linear, {"all": 0.05})
-    lacking = WHITE.fit(linear, Dataset(tuple(records)))
+    linear, rng = straight(), np.random.default_rng(3)
+    records = weak_and_strong(rng)
+    goals = design.goals_of(linear, {"all": 0.05})
+    lacking = WHITE.fit(linear, records)
     assert abs(lacking.values["d"] / 0.4 - 1.0) > 10 * lacking.std_errors["d"]
-    found = decide(lacking, candidates, goals, rng=rng)
+    found = design.decide(lacking, candidates, goals, rng=rng)
     assert all(one.is_met for one in found.goals)
     assert found.action == "contradicted"
     assert found.stop
@@ -157,12 +130,15 @@ def test_runs_that_contradict_one_another_are_not_enough(candidates) -> None:
     assert found.to_dict()["contradiction"]["freedom"] == 2
     assert found.report().startswith("STOP: on paper")
     assert "the records contradict it" in found.answer(2, 0.2)
-    tighter = decide(lacking, candidates, goals_of(linear, {"all": 1e-4}), rng=rng)
+    tighter = design.decide(lacking, candidates, design.goals_of(linear, {"all": 1e-4}), rng=rng)
     assert tighter.action == "go on"
     assert tighter.contradiction is not None
     assert tighter.answer(2, 0.2).startswith("WARNING")
-    right = WHITE.fit(ship(), Dataset(tuple(records)))
-    assert decide(right, candidates, goals_of(ship(), {"all": 0.05}), rng=rng).action == "enough"
+    right = WHITE.fit(ship(), records)
+    assert (
+        design.decide(right, candidates, design.goals_of(ship(), {"all": 0.05}), rng=rng).action
+        == "enough"
+    )
 
 
 def test_errors_between_records_are_those_of_the_decision(candidates) -> None:
@@ -171,7 +147,7 @@ def test_errors_between_records_are_those_of_the_decision(candidates) -> None:
     rng = np.random.default_rng(4)
     records = tuple(replace(simulate(ship(), run, rng=rng), name=f"run {i}") for i in range(5))
     fit = WHITE.fit(ship(), Dataset(records)).with_record_errors()
-    found = decide(fit, candidates, goals_of(fit.model, {"all": 0.001}), rng=rng)
+    found = design.decide(fit, candidates, design.goals_of(fit.model, {"all": 0.001}), rng=rng)
     stated = [fit.record_errors[n] / abs(fit.values[n]) for n in fit.names]
     usual = fit.information.std_errors / np.abs(fit.estimates)
     np.testing.assert_allclose([one.now for one in found.goals], stated, rtol=1e-5)
@@ -180,8 +156,8 @@ def test_errors_between_records_are_those_of_the_decision(candidates) -> None:
 
 def test_a_prediction_is_a_goal(fit, candidates) -> None:
     """The deviation of a predicted heading is that of the linear theory, and falls."""
-    goal = PredictionGoal(TURN, "psi", 1e-5)
-    found = decide(fit, candidates, [goal], rng=np.random.default_rng(0))
+    goal = design.PredictionGoal(TURN, "psi", 1e-5)
+    found = design.decide(fit, candidates, [goal], rng=np.random.default_rng(0))
     rows = goal.rows(fit.model, fit.names)
     expected = np.sqrt(np.einsum("ij,jk,ik->i", rows, fit.information.covariance, rows).max())
     assert found.goals[0].now == pytest.approx(expected, rel=1e-4)
@@ -190,9 +166,9 @@ def test_a_prediction_is_a_goal(fit, candidates) -> None:
 
 def test_runs_that_may_leave_their_limits_are_refused(fit, candidates) -> None:
     """Narrower limits than those of the library lead to gentler runs, or to none."""
-    goals = goals_of(fit.model, {"all": 0.001})
+    goals = design.goals_of(fit.model, {"all": 0.001})
     narrow = Limits(signals={"psi": (-0.25, 0.25)})
-    found = decide(fit, candidates, goals, rng=np.random.default_rng(0), limits=narrow)
+    found = design.decide(fit, candidates, goals, rng=np.random.default_rng(0), limits=narrow)
     assert found.refused
     assert found.next_run is not None
     motion = simulate(fit.model, replace(found.next_run.experiment, limits=Limits()), noise=False)
@@ -205,7 +181,7 @@ def test_runs_that_may_leave_their_limits_are_refused(fit, candidates) -> None:
     assert words.startswith(f"GO ON after 1 run, 0.1 h: {found.next_run.name} next (0.094 h)")
     assert found.assurance.report() in words
     none = Limits(signals={"psi": (-1e-6, 1e-6)})
-    closed = decide(fit, [c for c in candidates if c.kind != "straight"], goals,
+    closed = design.decide(fit, [c for c in candidates if c.kind != "straight"], goals,
                     rng=np.random.default_rng(0), limits=none)  # fmt: skip
     assert closed.action == "useless"
 
@@ -214,13 +190,13 @@ def test_goals_that_do_not_fit_are_named(fit, candidates) -> None:
     """Unknown parameters, outputs and empty lists are said."""
     rng = np.random.default_rng(0)
     with pytest.raises(DesignError, match="no 'q'"):
-        goals_of(fit.model, {"q": 0.1})
+        design.goals_of(fit.model, {"q": 0.1})
     with pytest.raises(DesignError, match="no output"):
-        decide(fit, candidates, [PredictionGoal(TURN, "x", 1.0)], rng=rng)
+        design.decide(fit, candidates, [design.PredictionGoal(TURN, "x", 1.0)], rng=rng)
     with pytest.raises(DesignError, match="Give both"):
-        decide(fit, candidates, [], rng=rng)
+        design.decide(fit, candidates, [], rng=rng)
     with pytest.raises(DesignError, match="Give a share"):
-        ParameterGoal("b", 0.0)
+        design.ParameterGoal("b", 0.0)
 
 
 CUBIC = Force("cubic", {"r": "-E_cubic*r**3"}, (Parameter("E_cubic", 0.0, scale=30.0),))
@@ -246,22 +222,20 @@ def setting(shifts: Shifts) -> Setting:
 
 @pytest.mark.parametrize(
     "criterion",
-    [Detect(EFFECTS), Detect(EFFECTS, worst=True), Discriminate(EFFECTS, size=1.0)],
+    [
+        design.Detect(EFFECTS),
+        design.Detect(EFFECTS, worst=True),
+        design.Discriminate(EFFECTS, size=1.0),
+    ],
     ids=lambda c: c.name,
 )
-def test_gradients_by_the_information_equal_differences(criterion: Detect) -> None:
+def test_gradients_by_the_information_equal_differences(criterion: design.Detect) -> None:
     """Mean and smallest chance, and pairs with several amplitudes, have exact derivatives."""
     shifts = criterion.shifts(ship())
     assert len(shifts) == 4
     measure = criterion.bind(setting(shifts))
     rng = np.random.default_rng(1)
-    rows = 0.6 * rng.standard_normal((40, 7))
-    matrix = rows.T @ rows
-    _, gradient = measure(matrix)
-    direction = rng.standard_normal((7, 7))
-    direction = direction @ direction.T
-    slope = (measure(matrix + 1e-6 * direction)[0] - measure(matrix - 1e-6 * direction)[0]) / 2e-6
-    assert np.sum(gradient * direction) == pytest.approx(slope, rel=1e-5)
+    assert_slope(measure, 0.6 * rng.standard_normal((40, 7)), rng)
 
 
 def test_power_is_the_share_of_simulated_tests_that_exceed_the_threshold() -> None:
@@ -276,7 +250,7 @@ def test_power_is_the_share_of_simulated_tests_that_exceed_the_threshold() -> No
 
 def test_concave_log_power_keeps_the_certificate() -> None:
     """Halfway between two informations the mean log chance is at least the mean of both."""
-    criterion = Detect(EFFECTS)
+    criterion = design.Detect(EFFECTS)
     measure = criterion.bind(setting(criterion.shifts(ship())))
     rng = np.random.default_rng(2)
     for _ in range(40):
@@ -290,19 +264,14 @@ def test_parameters_keep_their_information_beside_shifts() -> None:
     """With shifts beside them and under disturbance forces, parameters keep their information."""
     model = ship()
     shifts = Shifts.of(model, EFFECTS)
-    sea = NoiseModel(
-        np.array([5e-3, 2e-3]), np.zeros(2), np.array([0.005]), force_time=3.0,
-        outputs=("psi", "r"), places=("force r",),
-    )  # fmt: skip
     n = len(model.free_parameters)
-    for noise in (None, sea):
+    for noise in (None, sea(0.005)):
         joint = RunInformation(model, noise, shifts=shifts).matrix(RUN)
         assert joint is not None
         alone = information_of(model, RUN, noise=noise, priors=None).matrix
         np.testing.assert_allclose(joint[:n, :n], alone, rtol=1e-7)
-    calm = replace(sea, force=np.array([1e-12]))
     white = RunInformation(model, None, shifts=shifts).matrix(RUN)
-    weak = RunInformation(model, calm, shifts=shifts).matrix(RUN)
+    weak = RunInformation(model, sea(1e-12), shifts=shifts).matrix(RUN)
     assert white is not None
     assert weak is not None
     sizes = np.sqrt(np.diag(white))
@@ -317,7 +286,7 @@ def test_expected_gain_is_what_a_refit_gains(effect: Force) -> None:
     effect = effect.with_values({p.name: 0.1 * p.magnitude for p in effect.parameters})
     data = Dataset((simulate(model + effect, RUN, noise=False),))
     plain = MultipleShooting(noise="given", coloured="never", disturbances="none").fit(model, data)
-    criterion = Detect([effect])
+    criterion = design.Detect([effect])
     shifts = criterion.shifts(model)
     matrix = RunInformation(model, None, shifts=shifts).matrix(RUN)
     assert matrix is not None
@@ -332,12 +301,12 @@ def test_a_design_reveals_what_the_records_could_not_show() -> None:
     truth = simulate(model, replace(RUN, limits=Limits()), rng=np.random.default_rng(0))
     fit = replace(WHITE, coloured="never").fit(model, Dataset((truth,)))
     hidden = CUBIC.with_values({"E_cubic": 20.0})
-    found = design_experiment(
+    found = design.design_experiment(
         fit,
-        Trial(limits=LIMITS, duration=40.0, sample_time=0.5),
-        criterion=Detect([hidden, DEAD]),
+        design.Trial(limits=LIMITS, duration=40.0, sample_time=0.5),
+        criterion=design.Detect([hidden, DEAD]),
         rng=np.random.default_rng(0),
-        search=Search(n_starts=1, n_candidates=15, n_steps=6, n_workers=1),
+        search=design.Search(n_starts=1, n_candidates=15, n_steps=6, n_workers=1),
         caution=None,
     )
     cubic = found.chances[0]
@@ -366,25 +335,25 @@ def test_told_apart_rises_with_the_misfit_and_wrong_wishes_are_refused() -> None
     for wrong in ({"candidates": ()}, {"candidates": (CUBIC, CUBIC)},
                   {"candidates": (CUBIC,), "size": 0.0}):  # fmt: skip
         with pytest.raises(DesignError):
-            Detect(**wrong)
+            design.Detect(**wrong)
     with pytest.raises(DesignError, match="no amplitude"):
-        quick(criterion=Detect([replace(CUBIC, amplitudes=())]))
+        quick(criterion=design.Detect([replace(CUBIC, amplitudes=())]))
 
 
 def test_a_programme_is_chosen_for_what_it_reveals() -> None:
     """Whole runs are chosen by the chance to show an effect, within the certificate."""
     pattern = Experiment("pattern", duration=40.0, sample_time=0.5, constants={})
     hidden = CUBIC.with_values({"E_cubic": 10.0})
-    found = design_programme(
+    found = design.design_programme(
         ship(),
         pattern,
         limits=LIMITS,
         rng=np.random.default_rng(0),
-        criterion=Detect([hidden]),
+        criterion=design.Detect([hidden]),
         certainty=0.5,
-        budget=Budget(n_runs=2),
-        search=ProgrammeSearch(kinds=("zigzag",), n_draws=1, n_vehicles=2, n_rounds=0),
-        knowledge=Knowledge(spread=0.1),
+        budget=design.Budget(n_runs=2),
+        search=design.ProgrammeSearch(kinds=("zigzag",), n_draws=1, n_vehicles=2, n_rounds=0),
+        knowledge=design.Knowledge(spread=0.1),
     )
     assert found.value <= found.bound + 1e-9
     (chance,) = found.chances

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import binom
-from test_design import LIMITS, grid, quick, ship
+from test_design import LIMITS, grid, quick, sea, ship
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.design import (
@@ -47,7 +47,6 @@ from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.information import sea_noise
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics import Force, Parameter
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
@@ -350,14 +349,7 @@ def test_the_bound_holds_for_priors_that_are_too_narrow() -> None:
     assert sure.at_least == at_least(200, 200)
 
 
-SEA = NoiseModel(
-    np.array([5e-3, 2e-3]),
-    np.zeros(2),
-    np.array([0.01]),
-    force_time=3.0,
-    outputs=("psi", "r"),
-    places=("force r",),
-)
+SEA = sea(0.01)
 RUN = Experiment(
     "doublet",
     Doublet("rudder", 0.1, pulse_time=10.0),
@@ -449,8 +441,6 @@ def test_abort_rules_fire_as_often_as_vehicles_pass_them() -> None:
     (rule,) = (one for one in found.rules if one.signal == "psi")
     assert rule.limited
     assert rule.upper == pytest.approx(0.9 * LIMITS.signals["psi"][1])
-    from oed_sysid.design.vehicles import draw_models
-
     count = 0
     for vehicle in draw_models(ship(), 0.4, 60, None, np.random.default_rng(0)):
         heading = simulate(vehicle, replace(strong, limits=Limits()), noise=False).output("psi")
@@ -582,11 +572,11 @@ def test_vehicles_are_the_same_wherever_they_are_simulated() -> None:
     distributed = pytest.importorskip("distributed")
     auv = load_problem("remus_diving_plane")
     run = replace(auv.experiment("zigzag_10_10"), duration=20.0)
-    sea = sea_noise(auv.model, "moderate", [run])
+    waves = sea_noise(auv.model, "moderate", [run])
 
     def found() -> tuple[np.ndarray, dict]:
         one = assess_limits(
-            auv.model, run, rng=np.random.default_rng(3), limits=auv.limits, vehicles=40, sea=sea
+            auv.model, run, rng=np.random.default_rng(3), limits=auv.limits, vehicles=40, sea=waves
         )
         return one.kept, dict(one.ranges)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 from simple_models import AUV
-from test_design import ship
+from test_design import DOUBLET, sea, ship
 from turning_ship import CANDIDATES, SHIP
 
 from oed_sysid import Doublet, Experiment, Limits, Model, NoiseModel, load_problem, simulate
@@ -344,18 +344,6 @@ def joint(noise: Disturbed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return covariance[np.ix_(seen, seen)], residual[seen], across[..., seen]
 
 
-@pytest.mark.parametrize("time", [0.0, 0.3, 30.0])
-@pytest.mark.parametrize("colour", [0.0, 0.003])
-def test_likelihood_is_that_of_the_joint_normal_distribution(time: float, colour: float) -> None:
-    """On a linear model log determinant and square equal those of a dense covariance to 1e-8."""
-    noise = ship_noise(time=np.array([1.0, time]), colour_variance=np.array([colour**2]))
-    found = linear_pass(noise)
-    determinant, square = dense(noise)
-    assert found.log_variance == pytest.approx(determinant, rel=1e-8)
-    assert found.square == pytest.approx(square, rel=1e-8)
-    assert found.objective == pytest.approx(determinant + square, rel=1e-8)
-
-
 def ship_sea(turn: int = -1) -> Disturbed:
     """Two seas beside the forces: one in both places, one of the other shape on top of it."""
     return ship_noise(
@@ -368,13 +356,24 @@ def ship_sea(turn: int = -1) -> Disturbed:
     )
 
 
-@pytest.mark.parametrize("turn", [-1, 1], ids=["velocity", "displacement"])
-def test_likelihood_of_seas_is_that_of_the_joint_normal_distribution(turn: int) -> None:
-    """Narrow-band forces of both shapes, several in one place: equal to a dense covariance."""
-    found = linear_pass(ship_sea(turn))
-    determinant, square = dense(ship_sea(turn))
+FORCES_AND_COLOURS = [
+    ship_noise(time=np.array([1.0, time]), colour_variance=np.array([colour**2]))
+    for time in (0.0, 0.3, 30.0)
+    for colour in (0.0, 0.003)
+]
+
+
+@pytest.mark.parametrize("noise", [*FORCES_AND_COLOURS, ship_sea(-1), ship_sea(1)])
+def test_likelihood_is_that_of_the_joint_normal_distribution(noise: Disturbed) -> None:
+    """On a linear model log determinant and square equal those of a dense covariance to 1e-8.
+
+    So with narrow-band forces of both shapes, several of them in one place.
+    """
+    found = linear_pass(noise)
+    determinant, square = dense(noise)
     assert found.log_variance == pytest.approx(determinant, rel=1e-8)
     assert found.square == pytest.approx(square, rel=1e-8)
+    assert found.objective == pytest.approx(determinant + square, rel=1e-8)
 
 
 @pytest.mark.parametrize("turn", [-1, 1], ids=["velocity", "displacement"])
@@ -633,21 +632,10 @@ def test_levels_follow_their_time_as_the_information_says(slope: float, power: f
     assert np.count_nonzero(found) == 1
 
 
-TEST = Experiment("doublet", Doublet("rudder", 0.2, pulse_time=8.0), duration=40.0, sample_time=0.5)
-
-
-def noise(force: float, colour: float = 0.0) -> NoiseModel:
-    """Random yaw acceleration of three seconds."""
-    return NoiseModel(
-        np.array([5e-3, 2e-3]), np.array([0.0, colour]), np.array([force]), colour_time=2.0,
-        force_time=3.0, outputs=("psi", "r"), places=("force r",),
-    )  # fmt: skip
-
-
 def test_without_forces_it_is_the_plain_simulation() -> None:
     """At level zero the record is that of the simulator with the same noise."""
-    found = simulate_at_sea(ship(), TEST, noise(0.0), rng=np.random.default_rng(1))
-    plain = simulate(ship(), TEST, rng=np.random.default_rng(1))
+    found = simulate_at_sea(ship(), DOUBLET, sea(0.0), rng=np.random.default_rng(1))
+    plain = simulate(ship(), DOUBLET, rng=np.random.default_rng(1))
     np.testing.assert_allclose(found.outputs, plain.outputs, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found.inputs, plain.inputs, atol=1e-12)
 
@@ -655,7 +643,7 @@ def test_without_forces_it_is_the_plain_simulation() -> None:
 def test_yaw_rate_scatters_as_a_first_order_process_through_the_hull() -> None:
     """With linear damping the variance of the yaw rate is that of theory, within sampling error."""
     model = ship().with_values({"c": 0.0})
-    quiet = replace(noise(0.01), white=np.array([1e-9, 1e-9]))
+    quiet = replace(sea(0.01), white=np.array([1e-9, 1e-9]))
     still = Experiment("still", duration=60.0, sample_time=0.25, constants={"rudder": 0.0})
     rng = np.random.default_rng(2)
     ends = [simulate_at_sea(model, still, quiet, rng=rng).output("r")[120:] for _ in range(40)]
@@ -669,13 +657,13 @@ def test_a_force_in_an_axis_meets_a_zigzag_that_reacts() -> None:
     problem = load_problem("remus_diving_plane")
     run = replace(problem.experiment("zigzag_5_5"), duration=40.0)
     white = np.array([o.noise_std for o in problem.model.outputs])
-    sea = NoiseModel(
+    waves = NoiseModel(
         white, np.zeros(5), np.array([0.3]), force_time=2.0,
         outputs=problem.model.output_names, places=("force M",),
     )  # fmt: skip
     records = [
         simulate_at_sea(problem.model, run, one, rng=np.random.default_rng(0))
-        for one in (sea, replace(sea, force=np.array([1e-9])))
+        for one in (waves, replace(waves, force=np.array([1e-9])))
     ]
     assert np.abs(records[0].inputs - records[1].inputs).max() > 0.1
     assert np.abs(records[0].input("fin_command")).max() == pytest.approx(np.radians(5))
@@ -693,8 +681,8 @@ def test_a_drifting_sensor_and_a_noisy_command_are_drawn_too() -> None:
     )  # fmt: skip
     still = simulate(problem.model, run, noise=False)
     drawn = [
-        simulate_at_sea(problem.model, run, sea, rng=np.random.default_rng(0))
-        for sea in (quiet, replace(quiet, places=("actuator ds",), force_time=np.zeros(1)))
+        simulate_at_sea(problem.model, run, one, rng=np.random.default_rng(0))
+        for one in (quiet, replace(quiet, places=("actuator ds",), force_time=np.zeros(1)))
     ]
     drift, wiggle = (record.outputs - still.outputs for record in drawn)
     here = names.index("q")
@@ -718,10 +706,10 @@ def test_waves_count_in_how_surely_limits_hold() -> None:
             limits=limits,
             spread=0.01,
             vehicles=40,
-            sea=sea,
+            sea=waves,
             rng=np.random.default_rng(0),
         )
-        for sea in (None, noise(0.02))
+        for waves in (None, sea(0.02))
     ]
     assert found[0].probability == 1.0
     assert found[1].probability < 0.8

@@ -7,23 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from altered import overwritten
 from golden_files import restored
 from marks import slow
 from scipy.stats import norm
-from test_design import ship
+from test_design import ship, straight, weak_and_strong
 from test_information import ar1
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
-from oed_sysid import Experiment, Input, Model, Output, Record, Solver, State
-from oed_sysid.compiled.kernels import kernel
-from oed_sysid.data.dataset import Dataset
+from oed_sysid import Dataset, Fit, Input, Model, Output, Record, Solver, State, simulate_inputs
+from oed_sysid.baselines import MultipleShooting, Multistart, profile
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.experiments.manoeuvres import ThreeTwoOneOne
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.between_records import CHANCE, Sources, sources_of
-from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.multistart import Multistart, profile
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.physics.parameters import Parameter
 
@@ -33,10 +28,7 @@ KNOWN = MultipleShooting(noise=NOISE, disturbances="none")
 @pytest.fixture(scope="module")
 def fit() -> Fit:
     """A fit with a gap in its data and one local parameter."""
-    data = yaw_data(1)
-    outputs = data[1].outputs.copy()
-    outputs[10:30, 0] = np.nan
-    data = Dataset((data[0], data[1].with_outputs(outputs), data[2]))
+    data = overwritten(yaw_data(1), 1, np.s_[10:30, 0], np.nan)
     model = yaw_model(K=Parameter("K", 0.1, "1/s", per_record=True))
     return KNOWN.fit(model, data)
 
@@ -124,10 +116,7 @@ def test_coloured_residuals_widen_the_errors() -> None:
     rng = np.random.default_rng(4)
     white = yaw_data(4, noise=np.zeros(2))
     remembering = Dataset(
-        tuple(
-            record.with_outputs(record.outputs + NOISE * ar1(record.n_samples, 0.9, rng, 2))
-            for record in white
-        )
+        [r.with_outputs(r.outputs + NOISE * ar1(r.n_samples, 0.9, rng, 2)) for r in white]
     )
     fit = KNOWN.fit(yaw_model(), remembering)
     plain = replace(KNOWN, coloured="never").fit(yaw_model(), remembering)
@@ -213,37 +202,13 @@ def test_errors_count_in_their_direction_alone() -> None:
     assert found.freedom == 2
 
 
-def runs(truth: Model, sizes: tuple[float, ...], seed: int) -> Dataset:
-    """Runs of 3-2-1-1 of these rudder angles."""
-    rng = np.random.default_rng((7, seed))
-    records = []
-    for index, size in enumerate(sizes):
-        experiment = Experiment(
-            f"run {index + 1}", ThreeTwoOneOne("rudder", size, unit_time=5.0), duration=60.0,
-            sample_time=0.25,
-        )  # fmt: skip
-        records.append(simulate(truth, experiment, rng=rng))
-    return Dataset(tuple(records))
-
-
-def straight(model: Model) -> Model:
-    """The ship believed to have linear damping only."""
-    known = model.parameter("c")
-    return replace(
-        model,
-        parameters=tuple(
-            replace(known, value=0.0, fixed=True) if p.name == "c" else p for p in model.parameters
-        ),
-    )
-
-
 @pytest.mark.parametrize("estimator", [WHITE, *slow(MultipleShooting())], ids=["white", "forces"])
 def test_a_missing_term_shows_where_runs_differ_in_strength(estimator: MultipleShooting) -> None:
     """Quadratic damping that the model lacks: each run looks well, weak and strong ones differ."""
     contradicted, plain = [], []
     for seed in range(8):
-        lacking = estimator.fit(straight(ship()), runs(ship(), (0.1, 0.35), seed))
-        right = estimator.fit(ship(), runs(ship(), (0.1, 0.35), seed))
+        data = weak_and_strong(np.random.default_rng((7, seed)))
+        lacking, right = estimator.fit(straight(), data), estimator.fit(ship(), data)
         for fit, chances in ((lacking, contradicted), (right, plain)):
             assert fit.sources is not None
             chances.append(fit.sources.agreement(stated=fit.covariance).chance)
@@ -277,9 +242,7 @@ def record(
     """A square wave with noise."""
     model = relaxation(log=False)
     inputs = np.where(np.sin(1.2 * times) > 0, 0.2, -0.2)[:, None]
-    code = kernel(model)
-    z, _ = code.start(np.array([0.1]), inputs[0], model.value_vector, 0.0)
-    clean = code.run(times, inputs, model.value_vector, z).outputs
+    clean = simulate_inputs(model, times, inputs=inputs, initial=[0.1]).outputs
     return Record(
         "run", times, inputs, clean + level * rng.normal(size=clean.shape), model.channels
     )

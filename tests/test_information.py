@@ -7,15 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from test_design import LIMITS, quick, ship
+from test_design import DOUBLET, LIMITS, quick, sea, ship
 from yaw_vehicle import NOISE, TRUE, yaw_data, yaw_model
 
-from oed_sysid import Experiment, NoiseModel, Sea, load_problem
-from oed_sysid.data.dataset import Dataset
+from oed_sysid import Dataset, Experiment, Model, NoiseModel, Sea, load_problem, simulate_inputs
 from oed_sysid.design import accuracy_range
 from oed_sysid.errors import DesignError
-from oed_sysid.experiments.manoeuvres import Doublet
-from oed_sysid.information import information_of, sea_noise, sea_words
+from oed_sysid.information import information_of, plays, respond, sea_noise, sea_words
 from oed_sysid.information.bound import RunInformation
 from oed_sysid.likelihood.information import (
     Information,
@@ -25,7 +23,6 @@ from oed_sysid.likelihood.information import (
     whiteness,
 )
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics.model import Model
 
 NAMES = ("a", "b", "c")
 
@@ -225,23 +222,9 @@ def test_white_series_with_gaps_stays_white() -> None:
     assert whiteness(series).is_white
 
 
-TEST = Experiment("doublet", Doublet("rudder", 0.2, pulse_time=8.0), duration=40.0, sample_time=0.5)
-
-
-def sea(model: Model, level: float = 0.01, time: float = 3.0, colour: float = 0.0) -> NoiseModel:
-    """Random yaw acceleration, and colour of the rate sensor."""
-    return NoiseModel(
-        np.array([5e-3, 2e-3]), np.array([0.0, colour]), np.array([level]), colour_time=1.0,
-        force_time=time, outputs=model.output_names, places=("force r",),
-    )  # fmt: skip
-
-
 def dense_information(model: Model, noise: NoiseModel) -> np.ndarray:
     """The same by one large Gaussian: outputs linear in the forces about the nominal run."""
-    from oed_sysid.experiments.simulation import simulate_inputs
-    from oed_sysid.information import plays, respond
-
-    play = plays(model, TEST)[0]
+    play = plays(model, DOUBLET)[0]
     base = respond(model, play)
     n, step = len(play.times), float(play.times[1])
 
@@ -291,12 +274,12 @@ def test_expected_information_is_that_of_the_whole_gaussian(
 ) -> None:
     """The filter's information equals that of all samples with their joint covariance."""
     model = ship(step=0.05)
-    noise = sea(model, level, colour=colour)
+    noise = sea(level, colour=colour)
     if waves:
         noise = replace(
             noise, seas=(Sea(period=7.0, bandwidth=0.2, levels={"r": waves}, shape="velocity"),)
         )
-    found = information_of(model, TEST, noise=noise, priors=None).matrix
+    found = information_of(model, DOUBLET, noise=noise, priors=None).matrix
     expected = dense_information(model, noise)
     # Nonlinear damping: the nominal path differs from its start states' only in rounding.
     np.testing.assert_allclose(found, expected, rtol=2e-3, atol=1e-4 * np.abs(expected).max())
@@ -306,17 +289,17 @@ def test_without_forces_it_is_the_white_bound() -> None:
     """A noise model of white sensors gives the information of their levels."""
     model = ship()
     white = NoiseModel.white_only(np.array([5e-3, 2e-3]), model.output_names)
-    found = information_of(model, TEST, noise=white).matrix
-    np.testing.assert_allclose(found, information_of(model, TEST).matrix, rtol=1e-9)
+    found = information_of(model, DOUBLET, noise=white).matrix
+    np.testing.assert_allclose(found, information_of(model, DOUBLET).matrix, rtol=1e-9)
 
 
 def test_a_model_made_ready_once_tells_the_same_of_every_run() -> None:
     """Made ready once, the model tells the same; a run that diverges tells nothing."""
     model = ship()
-    wild = replace(TEST, initial={"r": 1e200})
-    told = RunInformation(model, sea(model))
-    found = [told.matrix(run) for run in (TEST, wild, TEST)]
-    alone = information_of(model, TEST, noise=sea(model), priors=None)
+    wild = replace(DOUBLET, initial={"r": 1e200})
+    told = RunInformation(model, sea(0.01))
+    found = [told.matrix(run) for run in (DOUBLET, wild, DOUBLET)]
+    alone = information_of(model, DOUBLET, noise=sea(0.01), priors=None)
     assert found[1] is None
     for one in (found[0], found[2]):
         assert one is not None
@@ -327,14 +310,14 @@ def test_forces_cost_information_and_sensors_bring_it() -> None:
     """More force, or one sensor less, never lowers an error; null directions stay null."""
     model = ship()
     errors = [
-        information_of(model, TEST, noise=sea(model, level), priors=None).std_errors
+        information_of(model, DOUBLET, noise=sea(level), priors=None).std_errors
         for level in (1e-4, 1e-2, 1e-1)
     ]
     assert np.all(np.diff(errors, axis=0) > 0)
-    one = information_of(model, TEST, noise=sea(model), priors=None, outputs=("psi",))
+    one = information_of(model, DOUBLET, noise=sea(0.01), priors=None, outputs=("psi",))
     assert np.all(one.std_errors > errors[1])
     still = Experiment("straight", duration=20.0, sample_time=0.5, constants={"rudder": 0.0})
-    blind = information_of(model, still, noise=sea(model), priors=None)
+    blind = information_of(model, still, noise=sea(0.01), priors=None)
     assert any("b does not influence" in text for text in blind.null_directions())
 
 
@@ -360,17 +343,17 @@ def test_noise_that_does_not_fit_is_named() -> None:
     model = ship()
     short = NoiseModel.white_only(np.array([5e-3]), ("psi",))
     with pytest.raises(DesignError, match="no level for an output"):
-        information_of(model, TEST, noise=short)
+        information_of(model, DOUBLET, noise=short)
     perfect = NoiseModel.white_only(np.array([5e-3, 0.0]), model.output_names)
     with pytest.raises(DesignError, match="white noise of r"):
-        information_of(model, TEST, noise=perfect)
+        information_of(model, DOUBLET, noise=perfect)
     with pytest.raises(DesignError, match="no output 'x'"):
-        information_of(model, TEST, outputs=("x",))
+        information_of(model, DOUBLET, outputs=("x",))
 
 
 def test_design_states_accuracy_for_the_sea() -> None:
     """A design under forces promises less than in still water, and says for which forces."""
-    noise = sea(ship(), 0.02)
+    noise = sea(0.02)
     found = quick(noise=noise, n_starts=2)
     bound = information_of(found.model, found.experiment, noise=noise, priors=None)
     np.testing.assert_allclose(found.information.std_errors, bound.std_errors, rtol=1e-6)
@@ -384,13 +367,13 @@ def test_beyond_a_third_no_number_is_stated() -> None:
     """Where forces drown the manoeuvre the card says so instead of a number; ranges are told."""
     model = ship()
     weak = replace(LIMITS, inputs={"rudder": (-0.01, 0.01)})
-    found = quick(noise=sea(model, 0.02), limits=weak)
+    found = quick(noise=sea(0.02), limits=weak)
     assert found.relative_errors.max() > 0.3
     assert "not id." in found.sea_trial_card()
     other = accuracy_range(
-        model, TEST, noise=sea(model, 1e-3), spread=0.2, rng=np.random.default_rng(0)
+        model, DOUBLET, noise=sea(1e-3), spread=0.2, rng=np.random.default_rng(0)
     )
-    nominal = information_of(model, TEST, noise=sea(model, 1e-3)).std_errors
+    nominal = information_of(model, DOUBLET, noise=sea(1e-3)).std_errors
     nominal /= np.abs([model.values[n] for n in other.names])
     assert np.all(other.lowest < nominal)
     assert np.all(nominal < other.highest)
@@ -438,23 +421,21 @@ def test_estimates_are_efficient_and_intervals_hold(noise: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("memory", "least"), [(0.5, 0.92), (0.9, 0.87)])
-def test_sandwich_intervals_hold_in_coloured_noise(memory: float, least: float) -> None:
-    """Slow noise: white intervals fail, the stated ones hold, with some loss if it is very slow."""
-    deviation, white, stated = repeat(memory, 300, disturbances="none")
-    assert coverage(deviation, white) < 0.8
-    assert least < coverage(deviation, stated) < 0.985
-
-
-@pytest.mark.slow
-def test_robust_intervals_hold() -> None:
-    """With Huber's loss on Gaussian noise the intervals cover as well."""
-    deviation, _, stated = repeat(0.0, 300, loss="huber", coloured="never")
-    assert 0.92 < coverage(deviation, stated) < 0.975
-
-
-@pytest.mark.slow
-def test_default_intervals_hold_in_coloured_noise() -> None:
-    """On its own the estimator finds the colour of the sensors, and states what it is worth."""
-    deviation, _, stated = repeat(0.5, 100)
-    assert 0.92 < coverage(deviation, stated) < 0.985
+@pytest.mark.parametrize(
+    ("memory", "n_runs", "options", "least", "most"),
+    [
+        (0.5, 300, {"disturbances": "none"}, 0.92, 0.985),
+        (0.9, 300, {"disturbances": "none"}, 0.87, 0.985),  # some loss if it is very slow
+        (0.0, 300, {"loss": "huber", "coloured": "never"}, 0.92, 0.975),
+        (0.5, 100, {}, 0.92, 0.985),  # the estimator finds the colour on its own
+    ],
+    ids=["coloured", "very slow", "robust", "usual"],
+)
+def test_stated_intervals_hold(
+    memory: float, n_runs: int, options: dict, least: float, most: float
+) -> None:
+    """In slow noise, where white intervals fail, and with Huber's loss on Gaussian noise."""
+    deviation, white, stated = repeat(memory, n_runs, **options)
+    assert least < coverage(deviation, stated) < most
+    if options.get("disturbances") == "none":
+        assert coverage(deviation, white) < 0.8

@@ -7,9 +7,9 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
-from test_design import LIMITS, ship
+from test_design import LIMITS, sea, ship
 
-from oed_sysid import Experiment, Limits, NoiseModel, design
+from oed_sysid import Experiment, Limits, design
 from oed_sysid.design import (
     AOptimal,
     Budget,
@@ -29,10 +29,7 @@ from oed_sysid.information import information_of, noise_of
 from oed_sysid.likelihood.information import Information
 
 PATTERN = Experiment("pattern", duration=40.0, sample_time=0.5, constants={})
-SEA = NoiseModel(
-    np.array([5e-3, 2e-3]), np.zeros(2), np.array([0.005]), force_time=3.0,
-    outputs=("psi", "r"), places=("force r",),
-)  # fmt: skip
+SEA = sea(0.005)
 
 
 def library(rng: np.random.Generator, criterion: object, *, prior: float = 0.0) -> Library:

@@ -9,41 +9,30 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import matplotlib as mpl
-import matplotlib.pyplot
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from motion import states
 from PIL import Image
 from starter import improved, starter
 from test_design import ship
 from test_sensitivity import oscillator, roll_test
 
+from oed_sysid import Dataset, Experiment, Limits, Record, TurningCircle, ZigZag
 from oed_sysid import results as report
-from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.baselines import MultipleShooting, profile
 from oed_sysid.design import Levels, Search, Trial, design_experiment
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.compare import Comparison, compare
 from oed_sysid.evidence.improvement import Improvement
-from oed_sysid.experiments.experiment import Experiment, Limits
-from oed_sysid.experiments.manoeuvres import TurningCircle, ZigZag
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information import rank_parameters
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.multistart import profile
-from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
-from oed_sysid.results import (
-    LiveParameters,
-    figure_design,
-    figure_record,
-    plot_accuracy,
-    plot_history,
-    plot_sensitivity,
-)
 from oed_sysid.runtime.display import rounded
 
 mpl.use("Agg")
@@ -51,12 +40,7 @@ mpl.use("Agg")
 
 SHIP = Model(
     "ferry",
-    states=(
-        State("x", "m", scale=100.0),
-        State("y", "m", scale=100.0),
-        State("psi", "rad"),
-        State("r", "rad/s", scale=0.05),
-    ),
+    states=states("x y psi r", x=100.0, y=100.0, r=0.05),
     inputs=(Input("rudder", "rad", "rudder angle"),),
     outputs=(
         Output("x", "m", "north", noise_std=1.0),
@@ -107,7 +91,7 @@ def _better(data: Dataset) -> Fit:
 def _close_figures():
     """Leave no figure behind."""
     yield
-    mpl.pyplot.close("all")
+    plt.close("all")
 
 
 @pytest.fixture
@@ -256,8 +240,6 @@ def test_profile_shows_curve_and_interval(fit: Fit) -> None:
 
 def test_findings_are_written_into_files(fit: Fit, tmp_path) -> None:
     """The description of a picture file is what the picture shows."""
-    from PIL import Image
-
     ax = report.plot_intervals(fit)
     report.save_figure(ax.figure, tmp_path / "fit.png")
     half = {n: 1.96 * fit.std_errors[n] / abs(v) for n, v in fit.values.items()}
@@ -277,8 +259,6 @@ def test_same_place_same_look(fit: Fit, better: Fit, data: Dataset) -> None:
 
 def test_plots_use_given_axes_and_leave_settings_alone(fit: Fit, data: Dataset) -> None:
     """With ax= no figure is made, and matplotlib's settings are as before."""
-    from matplotlib import pyplot as plt
-
     before, figures = dict(mpl.rcParams), plt.get_fignums()
     figure, axes = report.style.new_figure(2, 3, size=(9, 6))
     places = axes.flat
@@ -374,7 +354,7 @@ def test_unmeasured_output_is_a_dash_in_every_rendering(data: Dataset) -> None:
 def test_sensitivity_plot_has_a_row_for_each_parameter() -> None:
     """Rows are the parameters, best on top, at their errors."""
     ranking = rank_parameters(oscillator(), roll_test())
-    ax = plot_sensitivity(ranking)
+    ax = report.plot_sensitivity(ranking)
     assert len(ax.get_yticklabels()) == len(ranking.rows)
     dots = [line.get_xdata()[0] for line in ax.lines if line.get_label() == "estimated together"]
     np.testing.assert_allclose(dots, [min(r.error, dots[i]) for i, r in
@@ -391,10 +371,12 @@ def test_design_figure_draws_commands_limits_and_errors(tmp_path: Path) -> None:
         rng=np.random.default_rng(0),
         search=Search(family=Levels(8), n_starts=1, n_candidates=5, n_steps=3, n_workers=1),
     )
-    figure = figure_design(design)
+    figure = report.figure_design(design)
     figure.savefig(tmp_path / "design.png", dpi=30)
     assert (tmp_path / "design.png").stat().st_size > 3_000
-    (ours,) = [line for line in plot_accuracy(design).lines if line.get_label() == "designed"]
+    (ours,) = [
+        line for line in report.plot_accuracy(design).lines if line.get_label() == "designed"
+    ]
     np.testing.assert_allclose(np.sort(ours.get_xdata()), np.sort(design.relative_errors))
 
 
@@ -533,9 +515,9 @@ class Clock:
         return self.now
 
 
-def fed(n: int, **settings: object) -> LiveParameters:
+def fed(n: int, **settings: object) -> report.LiveParameters:
     """A plot after ``n`` samples of a K that settles at 2."""
-    live = LiveParameters(["K"], units={"K": "1/s"}, **settings)  # type: ignore[arg-type]
+    live = report.LiveParameters(["K"], units={"K": "1/s"}, **settings)  # type: ignore[arg-type]
     for k in range(1, n + 1):
         live.update(float(k), {"K": 2.0 + 1.0 / k}, {"K": 1.0 / k})
     return live
@@ -544,7 +526,7 @@ def fed(n: int, **settings: object) -> LiveParameters:
 def test_band_is_196_standard_errors() -> None:
     """The band reaches 1.96 standard errors to either side of the estimate."""
     times = np.arange(3.0)
-    ax = plot_history(times, np.full(3, 5.0), np.full(3, 2.0), name="Z_w", unit="kg/s")
+    ax = report.plot_history(times, np.full(3, 5.0), np.full(3, 2.0), name="Z_w", unit="kg/s")
     corners = ax.collections[0].get_paths()[0].vertices
     assert corners[:, 1].min() == pytest.approx(5.0 - 3.92)
     assert corners[:, 1].max() == pytest.approx(5.0 + 3.92)
@@ -556,7 +538,7 @@ def test_band_is_196_standard_errors() -> None:
 def test_drawing_is_throttled_by_the_clock() -> None:
     """A thousand updates within ten seconds draw ten times at one per second."""
     clock = Clock()
-    live = LiveParameters(["K"], every=1.0, clock=clock)
+    live = report.LiveParameters(["K"], every=1.0, clock=clock)
     for k in range(1000):
         clock.now = k / 100.0
         live.update(float(k), {"K": 1.0})
@@ -592,7 +574,7 @@ def test_animation_has_the_frames(tmp_path: Path) -> None:
 
 def test_early_wild_estimates_do_not_set_the_scale() -> None:
     """The axis shows the later half, so that the first samples do not flatten it."""
-    live = LiveParameters(["K"], every=1e9)
+    live = report.LiveParameters(["K"], every=1e9)
     for k in range(40):
         live.update(float(k), {"K": 1e6 if k < 3 else 2.0}, {"K": 0.1})
     live.draw()
@@ -605,8 +587,8 @@ def test_early_wild_estimates_do_not_set_the_scale() -> None:
     [
         (lambda live: live.update(0.0, {"K": 1.0}), "not later"),
         (lambda live: live.update(9.0, {"T": 1.0}), "no parameter 'T'"),
-        (lambda _: LiveParameters([]), "at least one"),
-        (lambda _: LiveParameters(["K"]).animate("x.gif"), "nothing to animate"),
+        (lambda _: report.LiveParameters([]), "at least one"),
+        (lambda _: report.LiveParameters(["K"]).animate("x.gif"), "nothing to animate"),
     ],
 )
 def test_mistakes_are_named(call, words: str) -> None:  # type: ignore[no-untyped-def]
@@ -625,7 +607,7 @@ def test_record_is_drawn_in_degrees_without_what_was_not_measured() -> None:
     bare = Record(
         "run", record.times, record.inputs, outputs, record.channels, missing_outputs=("w",)
     )
-    shown = [ax for ax in figure_record(bare).axes if ax.get_visible()]
+    shown = [ax for ax in report.figure_record(bare).axes if ax.get_visible()]
     assert len(shown) == len(problem.model.inputs) + len(problem.model.outputs) - 1
     pitch = next(ax for ax in shown if "pitch angle" in ax.get_ylabel())
     assert "[deg]" in pitch.get_ylabel()
