@@ -29,6 +29,7 @@ from benchmarks.other_vehicles.truth.detect import gains
 from benchmarks.other_vehicles.truth.simulator import Manoeuvre, Plant, Vehicle, constant, multisine
 from benchmarks.other_vehicles.truth.simulator import simulate as simulate_vehicle
 from benchmarks.rates import at_most
+from benchmarks.speed import six_degrees_task
 from benchmarks.truth import NOISE, gauss_markov
 from oed_sysid.experiments.simulation import simulate_inputs
 
@@ -278,8 +279,6 @@ def test_an_improvement_that_takes_too_long_is_an_abort() -> None:
 @pytest.mark.slow
 def test_problem_of_the_times_has_its_size() -> None:
     """Twelve states, twenty-five free parameters and 36,030 samples."""
-    from benchmarks.speed import six_degrees_task
-
     model, train, _ = six_degrees_task()
     assert (len(model.state_names), len(model.free_names)) == (12, 25)
     assert sum(record.outputs.size for record in train) == 36030
@@ -307,6 +306,19 @@ def free_run(vehicle: Vehicle, start: dict[str, float], **zero: float) -> np.nda
     return found.states[0, :, : len(vehicle.states)]
 
 
+def gained(
+    vehicle: Vehicle,
+    runs: Any,
+    hidden: dict[str, float],
+    known: dict[str, float] | None = None,
+    **disturbed: float,
+) -> Any:
+    """What hidden effects gain beside those that are known, at the true values."""
+    structure = (vehicle.parameters, known or {})
+    given = {"waves": 0.0, **disturbed}
+    return gains(vehicle, runs, vehicle.parameters, hidden, structure, list(vehicle.free), **given)
+
+
 def test_coaster_coasts_as_quadratic_drag_says() -> None:
     """Without thrust u = u0/(1 + k u0 t), and the way is ln(1 + k u0 t)/k."""
     found = free_run(coaster.COASTER, {"u": 5.0})
@@ -323,13 +335,8 @@ def test_catamaran_in_an_ideal_fluid_keeps_its_energy() -> None:
     found = free_run(
         shortened(catamaran.CATAMARAN, 160), {"u": 1.0, "v": 0.4, "r": 0.5}, munk=1.0, **none
     )
-    masses = np.array(
-        [
-            catamaran.MASS - catamaran.X_UDOT,
-            catamaran.MASS - catamaran.Y_VDOT,
-            catamaran.INERTIA,
-        ]
-    )
+    along, across = catamaran.MASS - catamaran.X_UDOT, catamaran.MASS - catamaran.Y_VDOT
+    masses = np.array([along, across, catamaran.INERTIA])
     energy = 0.5 * np.sum(masses * found[:, :3] ** 2, axis=1)
     assert np.ptp(found[:, 0]) > 0.5  # it does move
     np.testing.assert_allclose(energy, energy[0], rtol=1e-6)
@@ -342,16 +349,8 @@ def test_auv_in_an_ideal_fluid_keeps_energy_and_spins_its_momentum() -> None:
     vehicle = replace(shortened(auv.AUV, 30), substep=0.05)
     found = free_run(vehicle, start, **none)
     along, across = auv.MASS - auv.X_UDOT, auv.MASS - auv.Y_VDOT
-    masses = np.array(
-        [
-            along,
-            across,
-            across,
-            auv.I_X - auv.K_PDOT,
-            auv.I_Y - auv.M_QDOT,
-            auv.I_Y - auv.M_QDOT,
-        ]
-    )
+    rolling, pitching = auv.I_X - auv.K_PDOT, auv.I_Y - auv.M_QDOT
+    masses = np.array([along, across, across, rolling, pitching, pitching])
     phi, theta, psi = found[:, 6:9].T
     energy = 0.5 * np.sum(masses * found[:, :6] ** 2, axis=1)
     energy = energy + 5.9 * (1 - np.cos(theta) * np.cos(phi))
@@ -478,15 +477,7 @@ def test_expected_gain_is_what_least_squares_finds() -> None:
     vehicle = shortened(VEHICLES["motor"], 60)
     hidden = {"quadratic": -0.04}
     runs = simulate_vehicle(vehicle, hidden, rng=RNG)
-    expected = gains(
-        vehicle,
-        runs,
-        vehicle.parameters,
-        hidden,
-        (vehicle.parameters, {}),
-        list(vehicle.free),
-        waves=0.0,
-    )
+    expected = gained(vehicle, runs, hidden)
     noise = np.array(list(vehicle.noise.values()))
 
     def residuals(unknown: np.ndarray) -> np.ndarray:
@@ -512,16 +503,7 @@ def test_disturbances_hide_what_white_noise_shows() -> None:
     hidden = {"torque": 0.1}
     runs = simulate_vehicle(vehicle, hidden, rng=RNG)
     calm, rough, noisy = (
-        gains(
-            vehicle,
-            runs,
-            vehicle.parameters,
-            hidden,
-            (vehicle.parameters, {}),
-            list(vehicle.free),
-            waves=waves,
-            input_noise=noise,
-        ).train
+        gained(vehicle, runs, hidden, waves=waves, input_noise=noise).train
         for waves, noise in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
     )
     assert 0 < rough < 0.5 * calm
@@ -535,11 +517,7 @@ def test_an_effect_gains_as_much_beside_one_that_lags() -> None:
     for lag in ({}, {"lag:V": 0.1, "sensor_lag:omega": 0.02}):
         hidden = {"quadratic": -0.1, **lag}
         runs = simulate_vehicle(vehicle, hidden, rng=RNG)
-        structure = (vehicle.parameters, lag)
-        names = list(vehicle.free)
-        found.append(
-            gains(vehicle, runs, vehicle.parameters, hidden, structure, names, waves=0.0).train
-        )
+        found.append(gained(vehicle, runs, hidden, lag).train)
     assert found[1] == pytest.approx(found[0], rel=0.3)
 
 

@@ -17,9 +17,9 @@ from oed_sysid.experiments.simulation import simulate
 PROBLEM = "nomoto_sparse_heading"
 
 
-def made(world: str, *, noise: bool = True, seed: int = 0) -> np.ndarray:
-    """Outputs of the first training run, and the noise-free ones beside them."""
-    scenario = load_scenario(PROBLEM)
+def made(world: str, *, noise: bool = True, seed: int = 0, problem: str = PROBLEM) -> np.ndarray:
+    """Outputs of the first training run of a problem."""
+    scenario = load_scenario(problem)
     model = scenario.with_noise(scenario.noise(1.0))
     rng = np.random.default_rng(seed)
     return WORLDS[world].record(model, scenario.train[0], rng=rng, noise=noise).outputs

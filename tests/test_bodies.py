@@ -9,7 +9,7 @@ import pytest
 from free_body import FreeBody, rotation
 
 from oed_sysid import Dataset, Experiment, Input, Model, MultipleShooting, Parameter
-from oed_sysid.compiled.kernels import kernel
+from oed_sysid.compiled.kernels import Run, kernel
 from oed_sysid.errors import ModelError
 from oed_sysid.experiments.manoeuvres import ZigZag, ZigZagLike
 from oed_sysid.experiments.simulation import simulate
@@ -59,14 +59,7 @@ def body(attitude: str = "euler", *, heavy: bool = True, wet: bool = True) -> Ri
     return rigid_body(
         6,
         mass=30.0,
-        inertia={
-            "xx": 0.4,
-            "yy": 3.6,
-            "zz": 3.4,
-            "xy": 0.02,
-            "xz": 0.05,
-            "yz": -0.03,
-        },
+        inertia={"xx": 0.4, "yy": 3.6, "zz": 3.4, "xy": 0.02, "xz": 0.05, "yz": -0.03},
         centre_of_gravity=tuple(CENTRE),
         added_mass=ADDED if wet else {},
         weight=299.0 if heavy else None,
@@ -95,15 +88,20 @@ def model_of(parts: RigidBody, *effects, step: float = 0.001) -> Model:
     return parts.model("body", inputs=(Input("T", "N"),), effects=effects, step=step)
 
 
-def run(model: Model, start: dict[str, float], times: np.ndarray) -> dict[str, np.ndarray]:
-    """States by name."""
+def ran(model: Model, start: dict[str, float], times: np.ndarray) -> Run:
+    """A run without commands, from states by name."""
     own = np.array([start.get(name, 0.0) for name in model.state_names])
     inputs = np.zeros((len(times), len(model.inputs)))
     k = kernel(model)
     z, _ = k.start(own, inputs[0], model.value_vector, 0.0)
     found = k.run(times, inputs, model.value_vector, z)
     assert found.ok
-    return dict(zip(model.state_names, found.states.T, strict=False))
+    return found
+
+
+def run(model: Model, start: dict[str, float], times: np.ndarray) -> dict[str, np.ndarray]:
+    """States by name."""
+    return dict(zip(model.state_names, ran(model, start, times).states.T, strict=False))
 
 
 def moving(parts: RigidBody) -> dict[str, float]:
@@ -166,14 +164,10 @@ def test_quaternion_and_euler_angles_give_the_same_path() -> None:
     for attitude in ("euler", "quaternion"):
         parts = body(attitude)
         model = model_of(parts, step=0.0005)
-        ours = run(model, moving(parts), TIMES)
-        paths.append(np.column_stack([ours[x] for x in "xyz"]))
-        own = np.array([moving(parts).get(n, 0.0) for n in model.state_names])
-        inputs = np.zeros((len(TIMES), 1))
-        z, _ = kernel(model).start(own, inputs[0], model.value_vector, 0.0)
-        y = kernel(model).run(TIMES, inputs, model.value_vector, z).outputs
+        ours = ran(model, moving(parts), TIMES)
+        paths.append(ours.states[:, [model.state_names.index(x) for x in "xyz"]])
         angles = [model.output_names.index(a) for a in ("phi", "theta", "psi")]
-        outputs.append(y[:, angles])
+        outputs.append(ours.outputs[:, angles])
     np.testing.assert_allclose(paths[0], paths[1], atol=1e-8)
     gap = np.angle(np.exp(1j * (outputs[0] - outputs[1])))
     np.testing.assert_allclose(gap, 0.0, atol=1e-7)
@@ -330,12 +324,7 @@ def test_accelerometer_at_rest_and_in_free_motion() -> None:
         "body", inputs=(Input("T", "N"),), outputs=(*sensors, load_cell("Z", "Z")), step=0.001
     )
     times = np.arange(0.0, 0.5, 0.002)
-    start = moving(parts)
-    own = np.array([start.get(n, 0.0) for n in model.state_names])
-    inputs = np.zeros((len(times), 1))
-    k = kernel(model)
-    z, _ = k.start(own, inputs[0], model.value_vector, 0.0)
-    found = k.run(times, inputs, model.value_vector, z)
+    found = ran(model, moving(parts), times)
     seen = found.outputs[:, -4:-1]
     states = dict(zip(model.state_names, found.states.T, strict=False))
     turns = [

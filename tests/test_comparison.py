@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import welch
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import KFold, cross_val_score
+from test_benchmark_worlds import made
 
 from benchmarks.comparison import PAGE, STORE, cells, merged, ratios, summary, tables
 from oed_sysid.baselines import JointKalmanFilter, LeastSquaresSVM
@@ -20,14 +21,6 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
 
 PROBLEM = "online_ship"
-
-
-def made(world: str, problem: str = PROBLEM) -> np.ndarray:
-    """Outputs of the first training run, without noise."""
-    scenario = load_scenario(problem)
-    model = scenario.with_noise(scenario.noise(1.0))
-    rng = np.random.default_rng(0)
-    return WORLDS[world].record(model, scenario.train[0], rng=rng, noise=False).outputs
 
 
 def test_swell_has_unit_variance_its_period_and_its_width() -> None:
@@ -44,11 +37,14 @@ def test_swell_has_unit_variance_its_period_and_its_width() -> None:
 def test_offsets_are_twice_the_noise_and_hidden_damping_moves_the_ship() -> None:
     """An offset is constant over the run; damping that a model lacks slows every motion."""
     sigma = load_scenario(PROBLEM).noise(1.0)
-    clean = made("ideal")
-    off = made("offset") - clean
+    clean, off = (made(world, noise=False, problem=PROBLEM) for world in ("ideal", "offset"))
+    off = off - clean
     assert np.ptp(off, axis=0) == pytest.approx(0.0, abs=1e-12)
     assert np.abs(off[0]) == pytest.approx(2.0 * sigma)
-    slower = made("hidden", "kvlcc2").std(axis=0) / made("ideal", "kvlcc2").std(axis=0)
+    free, damped = (
+        made(world, noise=False, problem="kvlcc2").std(axis=0) for world in ("ideal", "hidden")
+    )
+    slower = damped / free
     assert np.all(slower < 0.98)
     assert np.all(slower > 0.8)
 

@@ -3,44 +3,36 @@
 from __future__ import annotations
 
 import os
+from functools import cache
 
 import numpy as np
 import pytest
 from scipy.io import loadmat
 
 from benchmarks.scoreboard import drive
-from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid import Dataset, Fit, Model, MultipleShooting, Problem, compare, improve, load_problem
 from oed_sysid.data.third_party import fetch
-from oed_sysid.evidence.compare import compare
-from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.rank import rank
 from oed_sysid.evidence.study import Study
-from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.information.shifts import GROUP_WIDTH
-from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics.model import Model
 from oed_sysid.text.expressions import to_numpy
 
+ESTIMATOR = MultipleShooting(disturbances="none")
 pytestmark = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 
 
-@pytest.fixture(scope="module")
-def problem() -> Problem:
-    """The problem as shipped."""
-    return load_problem("roll_decay")
+@cache
+def shipped(name: str, variant: str | None = None) -> tuple[Problem, Dataset, Dataset]:
+    """A problem, its records to learn from, and those to judge by."""
+    problem = load_problem(name, variant=variant)
+    data = problem.data()
+    return problem, *data.split(test=[one for one in data.names if one.startswith("test")])
 
 
-@pytest.fixture(scope="module")
-def split(problem: Problem) -> tuple[Dataset, Dataset]:
-    """Training and test part of the one decay."""
-    return problem.data().split(test="test_small")
-
-
-def test_record_begins_after_the_release(split: tuple[Dataset, Dataset]) -> None:
+def test_record_begins_after_the_release() -> None:
     """Crests fall from the first sample on, and no sample belongs to both parts."""
-    train, test = split
+    _, train, test = shipped("roll_decay")
     phi = np.degrees(train[0].output("phi"))
     crests = [phi[i] for i in range(1, len(phi) - 1) if phi[i - 1] < phi[i] >= phi[i + 1]]
     assert 9.0 < max(crests) < 9.5
@@ -48,51 +40,38 @@ def test_record_begins_after_the_release(split: tuple[Dataset, Dataset]) -> None
     assert abs(np.degrees(test[0].outputs)).max() < 4.7
 
 
-def test_hydrostatics_give_a_credible_inertia(
-    problem: Problem, split: tuple[Dataset, Dataset]
-) -> None:
+def test_hydrostatics_give_a_credible_inertia() -> None:
     """The radius of gyration, added inertia included, is 0.35 to 0.50 of the beam."""
-    fit = MultipleShooting(disturbances="none").fit(problem.model, split[0])
+    problem, train, _ = shipped("roll_decay")
+    fit = ESTIMATOR.fit(problem.model, train)
     mass, beam = 312653.0 / 68.0**3 * 1000.0, 58.0 / 68.0
     assert 0.35 < np.sqrt(fit.values["I_xx"] / mass) / beam < 0.50
 
 
-def test_quadratic_damping_as_published(problem: Problem, split: tuple[Dataset, Dataset]) -> None:
+def test_quadratic_damping_as_published() -> None:
     """With linear stiffness the coefficient is the literature's 0.117 1/rad, within its error."""
-    fit = MultipleShooting(disturbances="none").fit(
-        problem.model + problem.effect("roll_quadratic_damping"), split[0]
-    )
+    problem, train, _ = shipped("roll_decay")
+    fit = ESTIMATOR.fit(problem.model + problem.effect("roll_quadratic_damping"), train)
     name = "E_roll_quadratic_damping"
     published = -problem.published["quadratic damping over inertia, 1/rad, 0 kn"]
     inertia = fit.values["I_xx"]
     assert abs(fit.values[name] / inertia - published) < 2 * fit.std_errors[name] / inertia
 
 
-@pytest.fixture(scope="module")
-def problem_tanks() -> Problem:
-    """The problem as shipped."""
-    return load_problem("cascaded_tanks")
-
-
-@pytest.fixture(scope="module")
-def split_tanks(problem_tanks: Problem) -> tuple[Dataset, Dataset]:
-    """First and second half."""
-    return problem_tanks.data().split(test="test_second_half")
-
-
-def test_saturated_readings_are_missing(split_tanks: tuple[Dataset, Dataset]) -> None:
+def test_saturated_readings_are_missing() -> None:
     """No reading at the end of the range is taken for a level, and each half has such ones."""
-    for half in split_tanks:
+    for half in shipped("cascaded_tanks")[1:]:
         level = half[0].output("level")
         assert half[0].n_samples == 512
         assert 10 < np.isnan(level).sum() < 40
         assert np.nanmax(level) < 10.0
 
 
-def test_gravity_outflow_leads_from_linear_to_square_root(problem_tanks: Problem) -> None:
+def test_gravity_outflow_leads_from_linear_to_square_root() -> None:
     """With amplitude 1 the lower tank's balance is that of square-root outflows."""
-    effect = problem_tanks.effect("gravity_outflow")
-    scope = {**problem_tanks.model.values, "E_gravity": 1.0, "upper": 7.0, "lower": 2.0}
+    problem = shipped("cascaded_tanks")[0]
+    effect = problem.effect("gravity_outflow")
+    scope = {**problem.model.values, "E_gravity": 1.0, "upper": 7.0, "lower": 2.0}
     scope |= {"drain_upper": 0.3, "drain_lower": 0.2}
     linear = 0.3 * 7.0 - 0.2 * 2.0
     root = 0.3 * np.sqrt(5.0 * 7.0) - 0.2 * np.sqrt(5.0 * 2.0)
@@ -104,8 +83,7 @@ def test_gravity_outflow_leads_from_linear_to_square_root(problem_tanks: Problem
 @pytest.fixture(scope="module", params=[None, "torricelli"])
 def tanks_improved(request: pytest.FixtureRequest) -> tuple[Improvement, Dataset]:
     """What is found from the linear model and from Torricelli's law, and the second half."""
-    problem = load_problem("cascaded_tanks", variant=request.param)
-    train, test = problem.data().split(test="test_second_half")
+    problem, train, test = shipped("cascaded_tanks", request.param)
     return improve(problem.model, train, test, candidates=problem.effects), test
 
 
@@ -131,20 +109,7 @@ def test_what_is_left_of_the_tanks_is_called_structure(
     assert found.remains.kind == "structure missing"
 
 
-ESTIMATOR = MultipleShooting(disturbances="none")
 FINER = 4  # input values per measured output
-
-
-@pytest.fixture(scope="module")
-def problem_silverbox() -> Problem:
-    """The problem as shipped."""
-    return load_problem("silverbox")
-
-
-@pytest.fixture(scope="module")
-def split_silverbox(problem_silverbox: Problem) -> tuple[Dataset, Dataset]:
-    """Two realisations."""
-    return problem_silverbox.data().split(test="test_third_realisation")
 
 
 def _error(fit: Fit, test: Dataset) -> float:
@@ -152,9 +117,9 @@ def _error(fit: Fit, test: Dataset) -> float:
     return 1e3 * fit.predict(test).rms["y"]
 
 
-def test_finer_input_passes_through_the_samples(split_silverbox: tuple[Dataset, Dataset]) -> None:
+def test_finer_input_passes_through_the_samples() -> None:
     """Interpolated input has no power beyond 200 Hz, where the measured one has none either."""
-    record = split_silverbox[0][0]
+    record = shipped("silverbox")[1][0]
     u = record.input("u")[: FINER * 1024] * np.hanning(FINER * 1024)
     power = np.abs(np.fft.rfft(u)) ** 2
     frequency = np.fft.rfftfreq(len(u), record.sample_time)
@@ -163,83 +128,58 @@ def test_finer_input_passes_through_the_samples(split_silverbox: tuple[Dataset, 
     assert np.isfinite(record.output("y")).sum() == 1500
 
 
-@pytest.fixture(scope="module")
-def cubic(problem_silverbox: Problem) -> Model:
+def cubic() -> Model:
     """The model with cubic stiffness and an offset."""
-    missing = [
-        problem_silverbox.effect("cubic_stiffness"),
-        problem_silverbox.effect("constant_force"),
-    ]
-    return problem_silverbox.model + missing
+    problem = shipped("silverbox")[0]
+    return problem.model + [problem.effect(n) for n in ("cubic_stiffness", "constant_force")]
 
 
 @pytest.fixture(scope="module")
-def better(cubic: Model, split_silverbox: tuple[Dataset, Dataset]) -> Fit:
+def better() -> Fit:
     """Its fit."""
-    return ESTIMATOR.fit(cubic, split_silverbox[0])
+    return ESTIMATOR.fit(cubic(), shipped("silverbox")[1])
 
 
-def test_hardening_spring_and_offset(
-    problem_silverbox: Problem, split_silverbox: tuple[Dataset, Dataset], better: Fit
-) -> None:
+def test_hardening_spring_and_offset(better: Fit) -> None:
     """Cubic stiffness and an offset bring another realisation from 9 to below 0.4 mV."""
-    train, test = split_silverbox
-    assert _error(ESTIMATOR.fit(problem_silverbox.model, train), test) > 8.0
+    problem, train, test = shipped("silverbox")
+    assert _error(ESTIMATOR.fit(problem.model, train), test) > 8.0
     assert _error(better, test) < 0.4
     assert better.values["E_cubic_stiffness"] > 100 * better.std_errors["E_cubic_stiffness"]
 
 
-def test_coarse_input_costs_accuracy(
-    cubic: Model, split_silverbox: tuple[Dataset, Dataset], better: Fit
-) -> None:
+def test_coarse_input_costs_accuracy(better: Fit) -> None:
     """With straight lines between the measured inputs the same model errs twice as much."""
-    rough = []
-    for data in split_silverbox:
-        r = data[0]
-        parts = (one[::FINER] for one in (r.times, r.inputs, r.outputs))
-        rough.append(Dataset((Record(r.name, *parts, r.channels),)))
-    rough_error = _error(ESTIMATOR.fit(cubic, rough[0]), rough[1])
-    assert rough_error > 2.0 * _error(better, split_silverbox[1])
+    _, *data = shipped("silverbox")
+    train, test = (Dataset((half[0].thin(FINER),)) for half in data)
+    rough_error = _error(ESTIMATOR.fit(cubic(), train), test)
+    assert rough_error > 2.0 * _error(better, data[1])
 
 
-def test_cubic_stiffness_ranks_first(
-    problem_silverbox: Problem, split_silverbox: tuple[Dataset, Dataset]
-) -> None:
+def test_cubic_stiffness_ranks_first() -> None:
     """Among springs, dampers, offsets and a lag the cubic spring explains most."""
-    study, fit = Study.begin(
-        problem_silverbox.model,
-        split_silverbox[0],
-        None,
-        problem_silverbox.effects,
-        known_noise=False,
-    )
+    problem, train, _ = shipped("silverbox")
+    study, fit = Study.begin(problem.model, train, None, problem.effects, known_noise=False)
     assert rank(study, fit, study.candidates).refits[0].name == "cubic_stiffness"
 
 
-@pytest.fixture(scope="module")
-def problem_drive() -> Problem:
-    """The problem as shipped."""
-    return load_problem("positioning_drive")
-
-
-def test_force_of_the_drive_is_the_mean_of_its_samples(problem_drive: Problem) -> None:
+def test_force_of_the_drive_is_the_mean_of_its_samples() -> None:
     """Impulses of both halves are those of the original, and positions its own samples."""
     content = loadmat(str(fetch("emps/DATA_EMPS.mat")))
     force = float(content["gtau"][0, 0]) * np.ravel(content["vir"])
-    first, second = problem_drive.data()
+    first, second = shipped("positioning_drive")[0].data()
     assert first.n_samples == second.n_samples == 1242
     joined = np.concatenate([first.inputs[:, 0], second.inputs[:, 0]])
     assert joined.sum() * 0.01 == pytest.approx(force[:24840].sum() * 0.001)
     assert second.outputs[0, 0] == np.ravel(content["qm"])[12420]
 
 
-def test_odds_of_two_claims_count_independent_samples(problem_drive: Problem) -> None:
+def test_odds_of_two_claims_count_independent_samples() -> None:
     """Correlated innovations let two statistics differ by less, not by more."""
-    train, _ = problem_drive.data().split(test="test_second_half")
+    problem, train, _ = shipped("positioning_drive")
     study, fit = Study.begin(
-        problem_drive.model, train, None, problem_drive.effects,
-        known_noise=False, disturbances="none",
-    )  # fmt: skip
+        problem.model, train, None, problem.effects, known_noise=False, disturbances="none"
+    )
     found = rank(study, fit, study.candidates)
     best, other = found.refits[:2]
     full, quarter = found.error(best, other), found.error(best, other, 0.25)
@@ -247,10 +187,10 @@ def test_odds_of_two_claims_count_independent_samples(problem_drive: Problem) ->
 
 
 @pytest.mark.slow
-def test_dry_friction_and_offset_are_found_and_nothing_else(problem_drive: Problem) -> None:
+def test_dry_friction_and_offset_are_found_and_nothing_else() -> None:
     """The four parameters of the authors are in their intervals, whole runs as good as theirs."""
-    train, test = problem_drive.data().split(test="test_second_half")
-    found = improve(problem_drive.model, train, test, candidates=problem_drive.effects)
+    problem, train, test = shipped("positioning_drive")
+    found = improve(problem.model, train, test, candidates=problem.effects)
     assert {step.added for step in found.steps} == {"offset", "coulomb_friction"}
     authors = {"m": 95.1, "X_v": -203.5, "E_coulomb_friction": 20.4, "X_0": 3.16}
     for name, value in authors.items():
@@ -261,22 +201,9 @@ def test_dry_friction_and_offset_are_found_and_nothing_else(problem_drive: Probl
     assert found.fit.predict(test).rms["x"] < 1.1 * theirs
 
 
-@pytest.fixture(scope="module")
-def problem_glider() -> Problem:
-    """The problem as shipped."""
-    return load_problem("slocum_glider")
-
-
-@pytest.fixture(scope="module")
-def split_glider(problem_glider: Problem) -> tuple[Dataset, Dataset]:
-    """Three dives to learn from, eight to judge by."""
-    data = problem_glider.data()
-    return data.split(test=[name for name in data.names if name.startswith("test")])
-
-
-def test_records_are_dives(split_glider: tuple[Dataset, Dataset]) -> None:
+def test_records_are_dives() -> None:
     """Eleven dives, irregular in time, each with a speed at once and on the way down only."""
-    train, test = split_glider
+    _, train, test = shipped("slocum_glider")
     assert (len(train), len(test)) == (3, 8)
     for record in (*train, *test):
         speed, pitch = record.output("speed"), record.input("pitch")
@@ -288,9 +215,9 @@ def test_records_are_dives(split_glider: tuple[Dataset, Dataset]) -> None:
         assert not record.is_uniform
 
 
-def test_inertia_at_one_is_the_published_mass(problem_glider: Problem) -> None:
+def test_inertia_at_one_is_the_published_mass() -> None:
     """Amplitude 1 makes mass and added mass as published, the settling mass included."""
-    terms = problem_glider.effect("inertia").terms
+    terms = shipped("slocum_glider")[0].effect("inertia").terms
     values = {
         "E_inertia": 1.0, "m_g": 70.0, "m_settle": 14.0, "k_along": 0.2, "k_across": 0.98
     }  # fmt: skip
@@ -305,52 +232,39 @@ def test_inertia_at_one_is_the_published_mass(problem_glider: Problem) -> None:
 
 
 @pytest.mark.slow
-def test_published_model_is_recovered(
-    problem_glider: Problem, split_glider: tuple[Dataset, Dataset]
-) -> None:
+def test_published_model_is_recovered() -> None:
     """Drag and mass agree with the literature, and inertia halves the error of speed."""
-    train, test = split_glider
-    steady = problem_glider.variant("corrected_pitch").model
-    moving = (steady + problem_glider.effect("inertia")).with_values({"E_inertia": 1.0})
-    before = MultipleShooting(disturbances="none").fit(steady, train)
-    after = MultipleShooting(disturbances="none").fit(moving.fix("E_inertia"), train)
+    problem, train, test = shipped("slocum_glider")
+    steady, published = problem.variant("corrected_pitch").model, problem.published
+    moving = (steady + problem.effect("inertia")).with_values({"E_inertia": 1.0})
+    before, after = (ESTIMATOR.fit(one, train) for one in (steady, moving.fix("E_inertia")))
     assert before.status.ok
     assert after.status.ok
-    assert after.values["C_D0"] == pytest.approx(
-        problem_glider.published["C_D0, dynamic"], abs=0.004
-    )
-    assert after.values["m_g"] == pytest.approx(
-        problem_glider.published["m_g, dynamic, kg"], abs=0.02
-    )
+    assert after.values["C_D0"] == pytest.approx(published["C_D0, dynamic"], abs=0.004)
+    assert after.values["m_g"] == pytest.approx(published["m_g, dynamic, kg"], abs=0.02)
     errors = [fit.predict(test).rms["speed"] for fit in (before, after)]
     assert errors[1] < 0.0125
     assert errors[0] > 1.6 * errors[1]
 
 
-def test_pitch_scale_agrees_with_the_authors(
-    problem_glider: Problem, split_glider: tuple[Dataset, Dataset]
-) -> None:
+def test_pitch_scale_agrees_with_the_authors() -> None:
     """From the logged pitch the scale comes out as the correction that the authors applied."""
-    effects = [problem_glider.effect("inertia"), problem_glider.effect("pitch_scale")]
-    fit = MultipleShooting(disturbances="none").fit(problem_glider.model + effects, split_glider[0])
+    problem, train, _ = shipped("slocum_glider")
+    effects = [problem.effect("inertia"), problem.effect("pitch_scale")]
+    fit = ESTIMATOR.fit(problem.model + effects, train)
     difference = fit.values["E_pitch_scale"] - (0.86 - 1.0)
     assert abs(difference) < 2 * fit.std_errors["E_pitch_scale"] < 0.05
 
 
 @pytest.mark.slow
-def test_inertia_is_found_first(
-    problem_glider: Problem, split_glider: tuple[Dataset, Dataset]
-) -> None:
+def test_inertia_is_found_first() -> None:
     """Among eleven candidates inertia explains most, and the validation dives agree.
 
     Disturbance forces that last as long as a dive would explain what inertia does.
     """
+    problem, *data = shipped("slocum_glider")
     found = improve(
-        problem_glider.model,
-        *split_glider,
-        candidates=problem_glider.effects,
-        max_effects=1,
-        disturbances="none",
+        problem.model, *data, candidates=problem.effects, max_effects=1, disturbances="none"
     )
     assert [step.added for step in found.steps] == ["inertia"]
     assert found.steps[0].claim.validation > 0

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
+from marks import slow
 
-from oed_sysid import MultipleShooting, improve, load_problem, simulate, simulate_inputs
+from oed_sysid import MultipleShooting, Problem, improve, load_problem, simulate, simulate_inputs
+from oed_sysid.compiled.graph import build
 from oed_sysid.text import expressions
 
-PROBLEM = load_problem("catamaran")
+PROBLEM, PROBLEM_6DOF = load_problem("catamaran"), load_problem("remus_6dof")
+# Of each problem the records that judge, and what is hidden.
+HIDDEN = (
+    (PROBLEM, "turns", {"propeller_lag", "thrust_asymmetry"}),
+    (PROBLEM_6DOF, "wide", {"fin_lag", "current"}),
+)
 
 
 def steady(port: float, starboard: float, seconds: float = 60.0) -> dict[str, float]:
@@ -48,31 +56,28 @@ def test_commands_swing_about_cruise() -> None:
         assert commands.max() <= 100.0
 
 
-def test_records_fit_with_what_is_hidden() -> None:
-    """With lag and asymmetry the fit reaches the noise and holds the truth."""
-    train = PROBLEM.data().split(test=["turns"])[0]
-    hidden = [PROBLEM.effect(name) for name in ("propeller_lag", "thrust_asymmetry")]
-    fit = MultipleShooting().fit(PROBLEM.model + hidden, train)
-    noise = np.array([output.noise_std for output in PROBLEM.model.outputs])
+@pytest.mark.parametrize(("problem", "judge", "hidden"), [HIDDEN[0], *slow(HIDDEN[1])])
+def test_records_fit_with_what_is_hidden(problem: Problem, judge: str, hidden: set[str]) -> None:
+    """With lag, asymmetry or current the fit reaches the noise and holds the truth."""
+    train = problem.data().split(test=[judge])[0]
+    model = problem.model + [effect for effect in problem.effects if effect.name in hidden]
+    fit = MultipleShooting().fit(model, train)
+    noise = np.array([output.noise_std for output in model.outputs])
     rms = np.sqrt(np.mean(np.concatenate(fit.residuals) ** 2, axis=0))
     np.testing.assert_allclose(rms, noise, rtol=0.1)
-    for name in fit.values:
+    for name, value in fit.values.items():
         low, high = fit.interval(name, 0.9999)
-        assert low < PROBLEM.truth[name] < high, name
+        assert low < problem.truth.get(name, problem.model.values.get(name, value)) < high, name
 
 
 @pytest.mark.slow
-def test_hidden_effects_are_found() -> None:
-    """Improvement names the lag of the propellers and the weaker one, and nothing false."""
-    train, test = PROBLEM.data().split(test=["turns"])
-    found = improve(PROBLEM.model, train, test, candidates=PROBLEM.effects)
-    assert set(found.model.effect_names) - set(PROBLEM.model.effect_names) == {
-        "propeller_lag",
-        "thrust_asymmetry",
-    }
+@pytest.mark.parametrize(("problem", "judge", "hidden"), HIDDEN)
+def test_hidden_effects_are_found(problem: Problem, judge: str, hidden: set[str]) -> None:
+    """Improvement names the lag, and the weaker propeller or the current, and nothing false."""
+    found = improve(problem.model, *problem.data().split(test=[judge]), candidates=problem.effects)
+    assert set(found.model.effect_names) - set(problem.model.effect_names) == hidden
 
 
-PROBLEM_6DOF = load_problem("remus_6dof")
 AXES = "XYZKMN"
 # Prestero (2001), tables B.1 and B.2: products of two velocities, and fins.
 TABLE_B = {
@@ -154,10 +159,6 @@ def test_propeller_torque_heels_the_vehicle() -> None:
 
 def test_hull_is_unstable_in_pitch() -> None:
     """The pitch motion at 1.54 m/s has the growing pair of poles 0.43 +- 0.18i."""
-    import casadi as ca
-
-    from oed_sysid.compiled.graph import build
-
     model, graph = PROBLEM_6DOF.model, build(PROBLEM_6DOF.model)
     names = list(graph.state_names)
     state = np.zeros(len(names))
@@ -170,30 +171,3 @@ def test_hull_is_unstable_in_pitch() -> None:
     worst = poles[np.argmax(poles.real)]
     assert worst.real == pytest.approx(PROBLEM_6DOF.published["pitch_poles"][0].real, abs=0.02)
     assert abs(worst.imag) == pytest.approx(PROBLEM_6DOF.published["pitch_poles"][0].imag, abs=0.02)
-
-
-@pytest.mark.slow
-def test_records_fit_with_what_is_hidden_6dof() -> None:
-    """With lag and current the fit reaches the noise, and the truth lies within its errors."""
-    train = PROBLEM_6DOF.data().split(test=["wide"])[0]
-    model = PROBLEM_6DOF.model + PROBLEM_6DOF.effect("fin_lag") + PROBLEM_6DOF.effect("current")
-    fit = MultipleShooting().fit(model, train)
-    noise = np.array([output.noise_std for output in model.outputs])
-    rms = np.sqrt(np.mean(np.concatenate(fit.residuals) ** 2, axis=0))
-    np.testing.assert_allclose(rms, noise, rtol=0.1)
-    for name, value in fit.values.items():
-        low, high = fit.interval(name, 0.9999)
-        assert (
-            low < PROBLEM_6DOF.truth.get(name, PROBLEM_6DOF.model.values.get(name, value)) < high
-        ), name
-
-
-@pytest.mark.slow
-def test_hidden_effects_are_found_6dof() -> None:
-    """Improvement names the lag of the fins and the current, and nothing false."""
-    train, test = PROBLEM_6DOF.data().split(test=["wide"])
-    found = improve(PROBLEM_6DOF.model, train, test, candidates=PROBLEM_6DOF.effects)
-    assert set(found.model.effect_names) - set(PROBLEM_6DOF.model.effect_names) == {
-        "fin_lag",
-        "current",
-    }

@@ -11,10 +11,9 @@ from golden_files import restored
 from marks import slow
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
-from turning_ship import CUBIC, GAIN, NOISE, SAMPLE, SHIP, TIME, dataset, record
+from turning_ship import CUBIC, GAIN, GYRO_BIAS, NOISE, SAMPLE, SHIP, TIME, dataset, record
 
 from oed_sysid import UnknownForce, UnknownInput
-from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.evidence.study import Study
@@ -27,7 +26,7 @@ from oed_sysid.likelihood.prediction import unknown_series
 from oed_sysid.likelihood.score_test import CLEAR, ScoreTest, Setting, Start, score_test
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.windows import Windows
-from oed_sysid.physics import Parameter, Sensor
+from oed_sysid.physics import Parameter
 from oed_sysid.physics.bodies import rigid_body
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
@@ -206,15 +205,11 @@ def unstable_record(name: str, rng: np.random.Generator) -> Record:
     return Record(name, times, np.array(inputs), np.array(outputs), UNSTABLE.channels)
 
 
-UNSTABLE = Model(
-    "unstable ship",
-    states=SHIP.states,
-    inputs=SHIP.inputs,
-    outputs=SHIP.outputs,
+UNSTABLE = replace(
+    SHIP,
+    name="unstable ship",
     kinematics={"psi": "r", "r": "K*delta + a*r"},
-    actuators={"delta": "rudder"},
     parameters=(Parameter("K", 0.1, "1/s^2"), Parameter("a", 0.2, "1/s")),
-    step=SAMPLE,
 )
 
 
@@ -240,14 +235,11 @@ def test_parameters_of_each_record_go_with_random_forces() -> None:
     """A gyro bias of its own for every record is found beside the force."""
     rng = np.random.default_rng(4)
     biases = (0.02, -0.01)
-    bias = Sensor(
-        "bias", {"r": "r + b_r"}, (Parameter("b_r", 0.0, "rad/s", per_record=True, scale=0.01),)
-    )
     records = []
     for index, size in enumerate(biases):
         clean = record(f"zigzag_{index}", rng, force=FORCE)
         records.append(clean.with_outputs(clean.outputs + np.array([0.0, size])))
-    fit = MultipleShooting(disturbances="all").fit(SHIP + bias, Dataset(records))
+    fit = MultipleShooting(disturbances="all").fit(SHIP + GYRO_BIAS, Dataset(records))
     assert "b_r" not in fit.names
     for found, truth in zip(fit.local_values, biases, strict=True):
         assert found["b_r"] == pytest.approx(truth, abs=0.002)
@@ -568,18 +560,12 @@ def test_parameters_of_each_record_are_found() -> None:
     runs = []
     for i, zero in enumerate((-0.05, 0.0, 0.05)):
         run = record(f"run_{i}", rng)
-        shifted = run.inputs - zero
-        runs.append(type(run)(run.name, run.times, shifted, run.outputs, run.channels))
+        runs.append(replace(run, inputs=run.inputs - zero))
     zero = Parameter("E_zero", 0.0, "rad", prior_mean=0.0, prior_std=0.1, per_record=True)
-    model = Model(
-        "with zero",
-        states=SHIP.states,
-        inputs=SHIP.inputs,
-        outputs=SHIP.outputs,
+    model = replace(
+        SHIP,
         kinematics={"psi": "r", "r": "(K*(delta + E_zero) - r)/T"},
-        actuators={"delta": "rudder"},
         parameters=(*SHIP.parameters, zero),
-        step=SHIP.step,
     )
     fit = MultipleShooting(disturbances="none", horizon=10.0).fit(model, Dataset(tuple(runs)))
     found = [local["E_zero"] for local in fit.local_values]
@@ -614,12 +600,10 @@ def test_a_fit_ahead_is_judged_by_its_windows(zigzags: Dataset) -> None:
     assert fit.status.ok
     assert "integration" not in {concern.kind for concern in fit.concerns}
     assert fit.nominal == {"T": wrong.values["T"]}
-    whole = kernel(fit.model)
-    errors = []
-    for run, own in zip(zigzags, fit.initial_states, strict=True):
-        values = fit.model.value_vector
-        z0, _ = whole.start(own, run.inputs[0], values, run.times[0])
-        errors.append(run.outputs - whole.run(run.times, run.inputs, values, z0).outputs)
+    errors = [
+        run.outputs - simulate_inputs(fit.model, run.times, inputs=run.inputs, initial=own).outputs
+        for run, own in zip(zigzags, fit.initial_states, strict=True)
+    ]
     assert np.sqrt(np.mean((np.vstack(errors) / fit.sigma) ** 2)) > 3 * fit.normalised_rms
 
 

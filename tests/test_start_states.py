@@ -12,7 +12,6 @@ from marks import slow
 from vehicles import DIVING_START, SHIP_START, remus, ship
 
 from oed_sysid import Dataset, Fit, Input, Model, MultipleShooting, Output, Parameter, Record, State
-from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.evidence.improve import improve
 from oed_sysid.experiments.simulation import simulate_inputs
@@ -49,9 +48,7 @@ def record(rng: np.random.Generator, times: np.ndarray = TIMES, name: str = "run
     """A free decay with a little forcing, and noise."""
     model = oscillator()
     inputs = 0.3 * np.sin(2.0 * times)[:, None]
-    code = kernel(model)
-    z, _ = code.start(TRUE_START, inputs[0], model.value_vector, 0.0)
-    clean = code.run(times, inputs, model.value_vector, z).outputs
+    clean = simulate_inputs(model, times, inputs=inputs, initial=TRUE_START).outputs
     noisy = clean + NOISE * rng.normal(size=clean.shape)
     return Record(name, times, inputs, noisy, model.channels)
 
@@ -95,9 +92,8 @@ def test_held_states_are_not_eliminated() -> None:
         ends = []
         for sign in (1, -1):
             model = fit.model.with_values({name: fit.values[name] + sign * step})
-            code = kernel(model)
-            z, _ = code.start(TRUE_START, data[0].inputs[0], model.value_vector, 0.0)
-            ends.append(code.run(TIMES, data[0].inputs, model.value_vector, z).outputs[:, 0])
+            run = simulate_inputs(model, TIMES, inputs=data[0].inputs, initial=TRUE_START)
+            ends.append(run.outputs[:, 0])
         columns.append((ends[0] - ends[1]) / (2 * step * NOISE))
     jacobian = np.array(columns).T
     assert fit.covariance == pytest.approx(np.linalg.inv(jacobian.T @ jacobian), rel=1e-5)
@@ -122,7 +118,7 @@ def test_a_vague_prior_leaves_the_fit_and_a_sharp_one_holds_it() -> None:
 def test_stated_errors_are_right(way: str) -> None:
     """Normalised errors of the parameters have unit variance, over 150 data sets."""
     rng, scores = np.random.default_rng(4), []
-    count = 60 if "random" in way else 150
+    count = 60 if "force" in way else 150
     for _ in range(count):
         data = Dataset((record(rng),))
         starts: dict[str, object] = {}
@@ -131,7 +127,7 @@ def test_stated_errors_are_right(way: str) -> None:
             starts = {n: (float(b), KNOWN) for n, b in zip("xv", believed, strict=True)}
         elif way == "held":
             starts = dict(zip("xv", map(float, TRUE_START), strict=True))
-        if "random" in way:
+        if "force" in way:
             fit = disturbed(oscillator(), data, starts)
         else:
             fit = ESTIMATOR.fit(oscillator(), data, start_states=starts)  # type: ignore[arg-type]
@@ -140,7 +136,7 @@ def test_stated_errors_are_right(way: str) -> None:
     variance = float(np.mean(np.square(scores)))
     spread = np.sqrt(2.0 / np.size(scores))
     # With a force admitted that is not there, intervals may be a little too wide.
-    assert (0.5 if "random" in way else 1.0 - 3.5 * spread) < variance < 1.0 + 3.5 * spread
+    assert (0.5 if "force" in way else 1.0 - 3.5 * spread) < variance < 1.0 + 3.5 * spread
 
 
 def test_predictions_carry_the_error_of_given_starts() -> None:
@@ -376,47 +372,40 @@ def only(model: Model, names: tuple[str, ...]) -> Model:
 
 
 @pytest.mark.parametrize(
-    ("keep", "found"), [(("u", "theta", "z"), ("q", "w")), (("u", "w", "theta"), ("q",))]
+    ("model", "keep", "found"),
+    [
+        (remus(), ("u", "theta", "z"), {"q", "w"}),
+        (remus(), ("u", "w", "theta"), {"q"}),
+        (ship(), ("psi", "x", "y"), {"u", "v", "r"}),
+    ],
 )
-def test_diving_plane(keep: tuple[str, ...], found: tuple[str, ...]) -> None:
-    """Pitch rate comes from pitch, heave velocity from depth, u and pitch."""
-    model = remus()
-    times = np.arange(0, 60, 0.1)
-    fin = 0.1 * np.sign(np.sin(0.5 * times))
-    run = simulate_inputs(
-        model, times, inputs={"fin_command": fin, "thrust": 9.0}, initial=DIVING_START
+def test_velocities_follow_from_what_is_measured(
+    model: Model, keep: tuple[str, ...], found: set[str]
+) -> None:
+    """Pitch rate from pitch, heave velocity from depth, u and pitch; a ship's from its track."""
+    dives = model.name == "remus"
+    times = np.arange(0, 60, 0.1) if dives else np.arange(0, 600, 2.0)
+    inputs, initial = (
+        ({"fin_command": 0.1 * np.sign(np.sin(0.5 * times)), "thrust": 9.0}, DIVING_START)
+        if dives
+        else (
+            {"rudder_command": 0.2 * np.sign(np.sin(2 * np.pi * times / 200)), "thrust": 7e5},
+            SHIP_START,
+        )
     )
+    run = simulate_inputs(model, times, inputs=inputs, initial=initial)
     part = only(model, keep)
     rng = np.random.default_rng(1)
     outputs = np.column_stack([run.signal(name) for name in part.output_names])
-    outputs += 0.003 * rng.standard_normal(outputs.shape)
-    record = Record("dive", times, run.inputs, outputs, part.channels)
+    outputs += 0.003 * dives * rng.standard_normal(outputs.shape)
+    record = Record("run", times, run.inputs, outputs, part.channels)
     guesses = kinematic_states(part, record, measured_states(part, record))
-    assert {part.state_names[i] for i in guesses} == set(found)
+    assert {part.state_names[i] for i in guesses} == found
     for position, guess in guesses.items():
         truth = run.signal(part.state_names[position])
         error = np.sqrt(np.mean((guess.series - truth) ** 2))
-        assert error < 0.35 * np.std(truth)
-        assert error < 5 * guess.std
-
-
-def test_velocities_of_a_ship_from_positions() -> None:
-    """With heading and position measured, u, v and r follow from the kinematics."""
-    model = ship()
-    times = np.arange(0, 600, 2.0)
-    rudder = 0.2 * np.sign(np.sin(2 * np.pi * times / 200))
-    run = simulate_inputs(
-        model, times, inputs={"rudder_command": rudder, "thrust": 7e5}, initial=SHIP_START
-    )
-    part = only(model, ("psi", "x", "y"))
-    outputs = np.column_stack([run.signal(name) for name in part.output_names])
-    record = Record("turn", times, run.inputs, outputs, part.channels)
-    guesses = kinematic_states(part, record, measured_states(part, record))
-    assert {part.state_names[i] for i in guesses} == {"u", "v", "r"}
-    for position, guess in guesses.items():
-        truth = run.signal(part.state_names[position])
-        error = np.sqrt(np.mean((guess.series - truth) ** 2))
-        assert error < 0.2 * np.abs(truth).max()
+        assert error < (0.35 * np.std(truth) if dives else 0.2 * np.abs(truth).max())
+        assert not dives or error < 5 * guess.std
 
 
 def test_nothing_is_guessed_from_unknown_parameters() -> None:
