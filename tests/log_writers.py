@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import reduce
+from operator import xor
 from pathlib import Path
 
 import numpy as np
@@ -44,11 +46,21 @@ class Voyage:
 
     def quaternion(self, t: np.ndarray) -> np.ndarray:
         """Attitude with a heel of 0.1 rad, body to NED, shape (n, 4)."""
-        half, heel = self.psi(t) / 2, 0.05
-        c, s = np.cos(heel), np.sin(heel)
-        return np.column_stack(
-            [np.cos(half) * c, np.cos(half) * s, np.sin(half) * s, np.sin(half) * c]
-        )
+        return quaternion(np.full(t.shape, 0.1), np.zeros(t.shape), self.psi(t))
+
+
+def quaternion(phi: np.ndarray, theta: np.ndarray, psi: np.ndarray) -> np.ndarray:
+    """Body to earth axes of Euler angles, scalar part first, shape (n, 4)."""
+    a, b, c = np.cos(phi / 2), np.cos(theta / 2), np.cos(psi / 2)
+    d, e, f = np.sin(phi / 2), np.sin(theta / 2), np.sin(psi / 2)
+    return np.column_stack(
+        [
+            a * b * c + d * e * f,
+            d * b * c - a * e * f,
+            a * e * c + d * b * f,
+            a * b * f - d * e * c,
+        ]
+    )
 
 
 def write_ulog(path: Path, topics: Topics, *, start: float = 5.0) -> Path:
@@ -174,33 +186,48 @@ def write_bag(path: Path, voyage: Voyage, *, version: int) -> Path:
     return path
 
 
-def write_mcap(path: Path, topics: Topics) -> Path:
-    """An MCAP file of JSON messages."""
+def mcap(
+    path: Path,
+    schema: tuple[str, str, bytes],
+    encoding: str,
+    topics: Mapping[str, Iterable[tuple[int, bytes]]],
+    **settings: int,
+) -> Path:
+    """An MCAP file of stamped messages of one schema: its name, encoding and definition."""
     from mcap.writer import Writer
 
     with path.open("wb") as stream:
-        writer = Writer(stream)
+        writer = Writer(stream, **settings)
         writer.start()
-        schema = writer.register_schema("free", "jsonschema", b"{}")
-        for name, (times, fields) in topics.items():
-            channel = writer.register_channel(name, "json", schema)
-            for i, time in enumerate(times):
-                nano = round((time + 1.7e9) * 1e9)
-                content = {key: float(values[i]) for key, values in fields.items()}
-                writer.add_message(channel, nano, json.dumps(content).encode(), nano)
+        number = writer.register_schema(*schema)
+        for topic, messages in topics.items():
+            channel = writer.register_channel(topic, encoding, number)
+            for nano, message in messages:
+                writer.add_message(channel, nano, message, 0)
         writer.finish()
     return path
 
 
+def write_mcap(path: Path, topics: Topics) -> Path:
+    """An MCAP file of JSON messages."""
+    messages = {
+        name: [
+            (nano, json.dumps({key: float(one[i]) for key, one in fields.items()}).encode())
+            for i, nano in enumerate(round((time + 1.7e9) * 1e9) for time in times)
+        ]
+        for name, (times, fields) in topics.items()
+    }
+    return mcap(path, ("free", "jsonschema", b"{}"), "json", messages)
+
+
+def sentence(body: str) -> str:
+    """A sentence of NMEA 0183 with its checksum."""
+    checksum = reduce(xor, body.encode())
+    return f"${body}*{checksum:02X}"
+
+
 def write_nmea(path: Path, voyage: Voyage, *, stamped: bool) -> Path:
     """Sentences of heading, rate of turn and position, with a time in front of each or not."""
-
-    def sentence(body: str) -> str:
-        checksum = 0
-        for letter in body:
-            checksum ^= ord(letter)
-        return f"${body}*{checksum:02X}"
-
     rows = []
     for t in voyage.t_psi:
         psi = np.degrees(voyage.psi(np.array(t))) % 360

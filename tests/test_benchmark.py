@@ -5,12 +5,12 @@ from __future__ import annotations
 import ast
 import csv
 import io
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import told
 from marks import slow
 from scipy.stats import t as student
 from turning_ship import SHIP, record
@@ -26,7 +26,7 @@ from oed_sysid.baselines.benchmark import (
     verdicts,
 )
 from oed_sysid.baselines.contest import CONTESTANTS, Cell, Outcome, load_scenario, run_cell
-from oed_sysid.cli import BAD_INPUT, DONE, main
+from oed_sysid.cli import BAD_INPUT, commands, main
 from oed_sysid.errors import ModelError, ProblemError
 from oed_sysid.results.estimator_plots import figure_benchmark
 
@@ -243,14 +243,12 @@ def test_tables_and_picture(small: Benchmark) -> None:
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The command writes tables, picture and JSON, and refuses unknown names in words."""
-    json_file = tmp_path / "result.json"
     arguments = ["benchmark", "estimators", "--problems", "nomoto_sparse_heading"]
     arguments += ["--estimators", *TWO, "--noise", "1", "--seeds", "1", "--jobs", "1"]
-    arguments += ["--out", str(tmp_path / "out"), "--json", str(json_file)]
-    assert main(arguments) == DONE
+    result = told(tmp_path, [*arguments, "--out", tmp_path / "out"])
     assert "| heading_differences |" in capsys.readouterr().out
     assert (tmp_path / "out" / "benchmark.png").stat().st_size > 10_000
-    assert json.loads(json_file.read_text())["verdicts"][0]["outcome"] == "better"
+    assert result["verdicts"][0]["outcome"] == "better"
     assert main(["benchmark", "estimators", "--estimators", "ekv"]) == BAD_INPUT
     assert "no estimator 'ekv'" in capsys.readouterr().err
 
@@ -259,8 +257,6 @@ def test_hidden_effects_need_a_checkout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """From an installation the command says what is missing; from a checkout it runs the cases."""
-    from oed_sysid.cli import commands
-
     place = tmp_path / "site" / "oed_sysid" / "cli" / "commands.py"
     monkeypatch.setattr(commands, "__file__", str(place))
     assert main(["benchmark", "missing-physics", "none/white:1"]) == BAD_INPUT

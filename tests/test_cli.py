@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import told
 from marks import slow
 from plain_pages import plain_pages  # noqa: F401
 
 from oed_sysid import Fit, load_problem, new_problem, replayed, simulate, write_csv
-from oed_sysid.cli import BAD_INPUT, DONE, NO_RESULT, UNEXPECTED, main
+from oed_sysid.cli import BAD_INPUT, DONE, NO_RESULT, SUSPECT, UNEXPECTED, main
 from oed_sysid.cli.arguments import spread
 from oed_sysid.cli.tasks import write_runs
 from oed_sysid.cli.terminal import answer
@@ -77,16 +78,15 @@ def test_values_after_one_option_are_spread(given: str, expected: str) -> None:
 
 def test_simulate_then_fit_recovers_the_model(ferry: Path, tmp_path: Path, capsys) -> None:
     """What `simulate` writes, `fit` reads, and the intervals hold the simulated values."""
-    runs, stored = tmp_path / "runs", tmp_path / "results" / "fit.json"
+    runs, results = tmp_path / "runs", tmp_path / "results"
     assert main(["simulate", str(ferry), "--out", str(runs), "--seed", "3"]) == DONE
     files = sorted(str(file) for file in runs.glob("*.csv"))
     assert [Path(file).stem for file in files] == ["zigzag_10", "zigzag_20"]
     capsys.readouterr()
-    assert main(["fit", str(ferry), *files, "--json", str(stored)]) == DONE
+    result = told(results, ["fit", ferry, *files])
     printed = capsys.readouterr()
     assert "converged" in printed.out
-    assert str(stored) in printed.err
-    result = json.loads(stored.read_text())
+    assert str(results) in printed.err
     assert result["records"] == ["zigzag_10", "zigzag_20"]
     for parameter, truth in zip(result["parameters"], (0.1, 8.0), strict=True):
         assert abs(parameter["value"] - truth) < 5 * parameter["std_error"]
@@ -106,12 +106,10 @@ def test_one_experiment_goes_to_one_file(ferry: Path, tmp_path: Path, capsys) ->
 
 def test_problems_lists_and_describes(ferry: Path, tmp_path: Path, capsys) -> None:
     """A problem of the user's own is described with its equations and experiments."""
-    stored = tmp_path / "problem.json"
-    assert main(["problems", str(ferry), "--json", str(stored)]) == DONE
+    assert told(tmp_path, ["problems", ferry])["free_parameters"] == ["K", "T"]
     printed = capsys.readouterr().out
     assert "r' = (K rudder - r)/T" in printed
     assert "zigzag_20" in printed
-    assert json.loads(stored.read_text())["free_parameters"] == ["K", "T"]
     assert main(["problems"]) == DONE
     assert "remus_diving_plane" in capsys.readouterr().out
 
@@ -206,15 +204,16 @@ def test_command_line_starts_quickly() -> None:
 
 def test_several_experiments_after_one_option(ferry: Path, tmp_path: Path, capsys) -> None:
     """--experiment takes one name or many, and all by default."""
-    stored = tmp_path / "rank.json"
-    arguments = ["rank", str(ferry), "--json", str(stored), "--experiment"]
-    assert main([*arguments, "zigzag_10", "zigzag_20"]) == DONE
-    both = json.loads(stored.read_text())["ranking"]
+    one, both, every = (
+        told(tmp_path, ["rank", ferry, *given])["ranking"]
+        for given in (
+            ["--experiment", "zigzag_10"],
+            ["--experiment", "zigzag_10", "zigzag_20"],
+            [],
+        )
+    )
     assert both["runs"] == ["zigzag_10", "zigzag_20"]
-    assert main(arguments[:-1]) == DONE
-    assert json.loads(stored.read_text())["ranking"] == both
-    assert main([*arguments, "zigzag_10"]) == DONE
-    one = json.loads(stored.read_text())["ranking"]
+    assert every == both
     errors = [{row["name"]: row["error"] for row in r["parameters"]} for r in (one, both)]
     # The second zigzag adds information on each parameter.
     assert all(errors[0][name] > errors[1][name] for name in ("K", "T"))
@@ -222,14 +221,12 @@ def test_several_experiments_after_one_option(ferry: Path, tmp_path: Path, capsy
 
 def test_rank_at_sea_with_other_noise_and_priors(ferry: Path, tmp_path, capsys) -> None:
     """Twice the noise doubles the errors, a sea enlarges them, priors bound them."""
-    stored = tmp_path / "rank.json"
-    arguments = ["rank", str(ferry), "--experiment", "zigzag_10", "--json", str(stored)]
+    arguments = ["rank", str(ferry), "--experiment", "zigzag_10"]
     errors = []
     outputs = load_problem(ferry).model.outputs
     double = [f"{output.name}={2 * output.noise_std}" for output in outputs]
     for more in ([], ["--noise", *double], ["--sea", "moderate"], ["--priors", "1e-6"]):
-        assert main([*arguments, *more]) == DONE
-        result = json.loads(stored.read_text())
+        result = told(tmp_path, [*arguments, *more])
         errors.append({row["name"]: row["error"] for row in result["ranking"]["parameters"]})
         assert result["subset"]["identifiable"]
     assert {n: 2 * e for n, e in errors[0].items()} == pytest.approx(errors[1], rel=1e-6)
@@ -241,13 +238,12 @@ def test_rank_at_sea_with_other_noise_and_priors(ferry: Path, tmp_path, capsys) 
 
 def test_rank_of_records_equals_rank_of_their_experiments(ferry: Path, tmp_path, capsys) -> None:
     """A noise-free record tells as much as the experiment that gave it."""
-    file, stored = tmp_path / "zigzag_10.csv", tmp_path / "rank.json"
+    file = tmp_path / "zigzag_10.csv"
     simulated = ["simulate", str(ferry), "--experiment", "zigzag_10", "--no-noise"]
     assert main([*simulated, "--out", str(file)]) == DONE
     errors = []
     for runs in ([str(file)], ["--experiment", "zigzag_10"]):
-        assert main(["rank", str(ferry), *runs, "--json", str(stored)]) == DONE
-        rows = json.loads(stored.read_text())["ranking"]["parameters"]
+        rows = told(tmp_path, ["rank", ferry, *runs])["ranking"]["parameters"]
         errors.append({row["name"]: row["error"] for row in rows})
     assert errors[0] == pytest.approx(errors[1], rel=0.05)
     arguments = ["rank", str(ferry), str(file), "--experiment", "zigzag_10"]
@@ -272,13 +268,12 @@ def test_suspect_log_ends_with_4_report_page_and_copies(tmp_path: Path, capsys) 
     turned = np.where(np.array(problem.model.output_names) == "theta", -1.0, 1.0)
     log = tmp_path / "zigzag.csv"
     write_csv(record.with_outputs(turned * record.outputs), log)
-    plain, page, fixed = tmp_path / "check.json", tmp_path / "check.html", tmp_path / "fixed"
-    command = ["check", "remus_diving_plane", str(log), "--json", str(plain)]
-    assert main([*command, "--html", str(page), "--fix", str(fixed)]) == 4
+    page, fixed = tmp_path / "check.html", tmp_path / "fixed"
+    command = ["check", "remus_diving_plane", log, "--html", page, "--fix", fixed]
+    stored = told(tmp_path, command, SUSPECT)
     said = capsys.readouterr()
     assert 'Output("theta", "rad", sign=-1)' in said.out
     assert "Corrected in the copies" in said.err
-    stored = json.loads(plain.read_text(encoding="utf-8"))
     assert stored["findings"][0]["kind"] == "sign"
     assert stored["findings"][0]["signals"] == ["theta"]
     assert "theta has the wrong sign" in page.read_text(encoding="utf-8")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import told
 from plain_pages import plain_pages  # noqa: F401
 
 from oed_sysid import Experiment, Limits, load_problem, simulate, write_csv
@@ -26,12 +27,10 @@ def _ship(tmp_path_factory) -> Path:
 
 def test_design_keeps_limits_and_beats_the_zigzags(ship: Path, tmp_path: Path, capsys) -> None:
     """The commands stay in range, and the expected errors are below those of a zigzag."""
-    names = ("next.csv", "card.txt", "next.json", "next.html")
-    commands, card, stored, page = (tmp_path / name for name in names)
-    files = ["--out", str(commands), "--card", str(card), "--json", str(stored)]
-    files += ["--html", str(page)]
-    arguments = ["design", str(ship), "--like", "zigzag_10_10", "--duration", "60", *files]
-    assert main(arguments) == DONE
+    commands, card, page = (tmp_path / name for name in ("next.csv", "card.txt", "next.html"))
+    files = ["--out", commands, "--card", card, "--html", page]
+    arguments = ["design", ship, "--like", "zigzag_10_10", "--duration", "60", *files]
+    result = told(tmp_path, arguments)
     assert "limits met" in capsys.readouterr().out
     table = np.genfromtxt(commands, delimiter=",", names=True)
     times, rudder = table["t_s"], table["rudder_rad"]
@@ -40,7 +39,6 @@ def test_design_keeps_limits_and_beats_the_zigzags(ship: Path, tmp_path: Path, c
     assert np.abs(np.diff(rudder) / np.diff(times)).max() <= np.radians(5) * (1 + 1e-6)
     assert "SEA TRIAL CARD" in card.read_text()
     assert "SEA TRIAL CARD" in page.read_text(encoding="utf-8")
-    result = json.loads(stored.read_text())
     assert all(one["after"] < one["before"] for one in result["parameters"])
     assert all(reference["mean_gain"] > 1.0 for reference in result["references"])
 
@@ -149,11 +147,10 @@ def test_programme_is_planned_and_written(ship: Path, tmp_path: Path, capsys) ->
 
 def test_campaign_goes_on_until_enough_is_known(ship: Path, tmp_path: Path, capsys) -> None:
     """Begun, broken off and resumed, it proposes runs that a hidden ship does, then stops."""
-    folder, stored = tmp_path / "trial", tmp_path / "d.json"
+    folder = tmp_path / "trial"
     begin = ["campaign", str(folder), "--problem", str(ship), "--goal", "all=3", "--hours", "5"]
     begin += ["--patterns", "zigzag_10_10", "--duration", "90", "--uncertainty", "0.1"]
-    assert main([*begin, "--json", str(stored)]) == DONE
-    assert json.loads(stored.read_text())["action"] == "go on"
+    assert told(tmp_path, begin)["action"] == "go on"
     assert main(begin) == BAD_INPUT
     problem = load_problem(ship)
     truth = problem.model.with_values(
@@ -171,9 +168,7 @@ def test_campaign_goes_on_until_enough_is_known(ship: Path, tmp_path: Path, caps
         experiment = replace(Experiment.from_dict(proposed), limits=Limits())
         log = tmp_path / f"log_{number}.csv"
         write_csv(simulate(truth, experiment, rng=rng), log)
-        arguments = ["campaign", str(folder), "--record", str(log), "--json", str(stored)]
-        assert main(arguments) == DONE
-        decision = json.loads(stored.read_text())
+        decision = told(tmp_path, ["campaign", folder, "--record", log])
         actions.append(decision["action"])
         assert decision["seconds"] < 20
         if decision["action"] != "go on":
@@ -186,8 +181,7 @@ def test_campaign_goes_on_until_enough_is_known(ship: Path, tmp_path: Path, caps
     )
     assert all(one["now"] <= 0.03 for one in decision["goals"])
     # Asked again without a new log, the answer is the same; the same log twice is refused.
-    assert main(["campaign", str(folder), "--json", str(stored)]) == DONE
-    assert json.loads(stored.read_text())["action"] == "enough"
+    assert told(tmp_path, ["campaign", folder])["action"] == "enough"
     assert main(["campaign", str(folder), "--record", str(log)]) == BAD_INPUT
     assert len(json.loads((folder / "journal.json").read_text())["records"]) == len(actions)
 
@@ -228,10 +222,8 @@ def split(ship: Path) -> list[str]:
 def test_improve_without_untouched_records_makes_no_claim_on_them(ship: Path, tmp_path) -> None:
     """Without --validate the search still runs; errors on validation records are absent."""
     given = split(ship)
-    stored = tmp_path / "out.json"
-    arguments = ["improve", str(ship), *given[: given.index("--validate")], "--json", str(stored)]
-    assert main(arguments) == DONE
-    assert json.loads(stored.read_text())["final_error"]["test"] is None
+    found = told(tmp_path, ["improve", ship, *given[: given.index("--validate")]])
+    assert found["final_error"]["test"] is None
 
 
 @pytest.mark.slow
@@ -242,27 +234,21 @@ def test_improve_without_listed_candidates(ship: Path, tmp_path: Path) -> None:
     text = (ship / "problem.py").read_text().replace("    effects=effects,\n", "")
     text = text.replace(', "E_yaw": 1.5', "")
     (bare / "problem.py").write_text(text)
-    stored = tmp_path / "found.json"
-    assert main(["improve", str(bare), *split(ship), "--json", str(stored)]) == DONE
-    found = json.loads(stored.read_text())
+    found = told(tmp_path, ["improve", bare, *split(ship)])
     assert [step["added"] for step in found["steps"]] == ["quadratic_r_r"]
     assert found["final_error"]["test"] < 1.2 < 100 < found["base_error"]["test"]
     # The names are known to what comes next.
-    compared = tmp_path / "compare.json"
-    arguments = ["compare", str(bare), *split(ship), "--with", "quadratic_r_r", "--json"]
-    assert main([*arguments, str(compared)]) == DONE
-    models = {one["label"]: one for one in json.loads(compared.read_text())["models"]}
+    compared = told(tmp_path, ["compare", bare, *split(ship), "--with", "quadratic_r_r"])
+    models = {one["label"]: one for one in compared["models"]}
     assert models["with quadratic_r_r"]["relative"] < 1.2 < models["nominal"]["relative"]
 
 
 def test_compare_judges_models_on_untouched_records(ship: Path, tmp_path: Path, capsys) -> None:
     """The nominal model misses the circle; with the right effect only noise is left."""
-    stored = tmp_path / "compare.json"
     page = tmp_path / "compare.html"
-    extra = ["--with", HIDDEN, f"rudder_offset+{HIDDEN}", "--disturbances", "none"]
-    extra += ["--json", str(stored), "--html", str(page)]
-    assert main(["compare", str(ship), *split(ship), *extra]) == DONE
-    models = {one["label"]: one for one in json.loads(stored.read_text())["models"]}
+    extra = ["--with", HIDDEN, f"rudder_offset+{HIDDEN}", "--disturbances", "none", "--html", page]
+    compared = told(tmp_path, ["compare", ship, *split(ship), *extra])
+    models = {one["label"]: one for one in compared["models"]}
     assert models["nominal"]["relative"] > 3.0
     assert models[f"with {HIDDEN}"]["relative"] < 1.1
     assert models[f"with rudder_offset and {HIDDEN}"]["relative"] < 1.2
@@ -280,9 +266,8 @@ def test_compare_refuses_an_unknown_candidate(ship: Path, capsys) -> None:
 def test_diagnose_locates_and_ranks_without_adding(ship: Path, tmp_path: Path, capsys) -> None:
     """`diagnose` names the candidate from the training records alone, on paper and page."""
     given = split(ship)
-    stored, page = tmp_path / "look.json", tmp_path / "look.html"
-    files = ["--json", str(stored), "--html", str(page), "--known-noise"]
-    assert main(["diagnose", str(ship), *given[: given.index("--validate")], *files]) == DONE
-    assert json.loads(stored.read_text())["best"] == HIDDEN
+    page = tmp_path / "look.html"
+    line = ["diagnose", ship, *given[: given.index("--validate")], "--known-noise", "--html", page]
+    assert told(tmp_path, line)["best"] == HIDDEN
     assert HIDDEN in capsys.readouterr().out
     assert f"lacks {HIDDEN}" in page.read_text(encoding="utf-8")

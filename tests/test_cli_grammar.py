@@ -12,17 +12,22 @@ import sys
 import time
 from pathlib import Path
 
+import matplotlib.image
 import pytest
 import typer
+from commands import told
 from marks import slow
 from plain_pages import plain_pages  # noqa: F401
 from test_walks import mapping_of, write_log
 
-from oed_sysid import list_problems, new_problem
-from oed_sysid.cli import BAD_INPUT, DONE, main
+from oed_sysid import check, list_problems, load_problem, new_problem, read_csv
+from oed_sysid.cli import BAD_INPUT, DONE, main, terminal
 from oed_sysid.cli.application import app
+from oed_sysid.cli.tasks import _round
 from oed_sysid.cli.terminal import Shown
+from oed_sysid.errors import DataError
 from oed_sysid.likelihood.gauss_newton import Progress
+from oed_sysid.results import figure_check
 
 PROBLEM = "remus_diving_plane"
 # Fewer equations: what a command prints and draws is there sooner.
@@ -115,9 +120,7 @@ def test_older_words_mean_the_same(dives: Path, tmp_path: Path, capsys) -> None:
     one, two = (str(dives / f"turn_{number}.csv") for number in (1, 2))
     found = []
     for given in (["--train", one, "--test", two], [one, "--validate", two]):
-        stored = tmp_path / "compare.json"
-        assert main(["compare", TANKER, *given, "--json", str(stored)]) == DONE
-        found.append(json.loads(stored.read_text())["models"])
+        found.append(told(tmp_path, ["compare", TANKER, *given])["models"])
     assert found[0] == found[1]
     capsys.readouterr()
     for command in ("compare", "improve", "diagnose", "fit", "report", "rank", "check"):
@@ -129,9 +132,9 @@ def test_older_words_mean_the_same(dives: Path, tmp_path: Path, capsys) -> None:
 def test_fit_judges_with_validation_records(dives: Path, tmp_path: Path, capsys) -> None:
     """`fit --validate` predicts other records, and refuses those that it has learnt from."""
     one, two, three = (str(dives / f"dive_{number}.csv") for number in (1, 2, 3))
-    stored = tmp_path / "fit.json"
-    assert main(["fit", PROBLEM, one, two, "--validate", three, "--json", str(stored)]) == DONE
-    (model,) = json.loads(stored.read_text())["validation"]["models"]
+    (model,) = told(tmp_path, ["fit", PROBLEM, one, two, "--validate", three])["validation"][
+        "models"
+    ]
     assert 0.9 < model["relative"] < 1.1
     assert f"{model['relative']:.3g} × noise" in capsys.readouterr().out.splitlines()[0]
     assert main(["fit", PROBLEM, one, two, "--validate", two]) == BAD_INPUT
@@ -175,8 +178,6 @@ def test_quiet_is_one_line(line: str, dives: Path, monkeypatch, capfd) -> None:
 )
 def test_picture_of_a_result(line: str, dives: Path, monkeypatch, capfd) -> None:
     """--picture draws the result of a command, never a blank page; --quiet leaves one line."""
-    import matplotlib.image
-
     monkeypatch.chdir(dives)
     picture = dives / "result.png"
     picture.unlink(missing_ok=True)
@@ -189,10 +190,6 @@ def test_picture_of_a_result(line: str, dives: Path, monkeypatch, capfd) -> None
 
 def test_a_log_that_no_equation_judges_is_drawn_itself(dives: Path, monkeypatch, capfd) -> None:
     """Where a check has no residuals its picture is the log; in Python it is an error in words."""
-    from oed_sysid import check, load_problem, read_csv
-    from oed_sysid.errors import DataError
-    from oed_sysid.results import figure_check
-
     monkeypatch.chdir(dives)
     name, picture = "nomoto_sparse_heading", dives / "log.png"
     line = f"simulate {name} --experiment zigzag_15_15 --out heading.csv"
@@ -309,8 +306,6 @@ def test_time_left_of_a_fit_follows_its_convergence() -> None:
 
 def test_progress_in_a_pipe_is_plain_lines(monkeypatch, capsys) -> None:
     """Without a terminal progress is lines on standard error, none for what is quick."""
-    from oed_sysid.cli import terminal
-
     monkeypatch.setattr(terminal, "PATIENCE", 0.05)
     monkeypatch.setattr(terminal, "EVERY", 0.05)
     with terminal.progress("Quick"):
@@ -328,8 +323,6 @@ def test_progress_in_a_pipe_is_plain_lines(monkeypatch, capsys) -> None:
 
 def test_rounds_bound_the_time_of_a_search() -> None:
     """A fit of 7 s is one of six parts of a search of at most four rounds; so is each round."""
-    from oed_sysid.cli.tasks import _round
-
     now, left = [10.0], []
     show = Shown("Ranking", clock=lambda: now[0], told=lambda _, seconds: left.append(seconds))
     _round(show, 4, "fitting the nominal model")

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import told
 
 import oed_sysid
-from oed_sysid import Experiment, write_csv
-from oed_sysid.cli import DONE, main
+from oed_sysid import Doublet, Experiment, simulate, write_csv
 from oed_sysid.evidence.chance import threshold
-from oed_sysid.experiments.manoeuvres import Doublet
-from oed_sysid.experiments.simulation import simulate
 
 
 def test_what_records_cannot_tell_is_fixed_and_checked(tmp_path: Path) -> None:
@@ -26,10 +23,8 @@ def test_what_records_cannot_tell_is_fixed_and_checked(tmp_path: Path) -> None:
     paths = [str(tmp_path / f"{i}.csv") for i in (1, 2)]
     for path in paths:
         write_csv(simulate(problem.model, run, rng=rng), path)
-    stored = tmp_path / "reduced.json"
     line = ["reduce", "online_ship", paths[0], "--validate", paths[1], "--known-noise"]
-    assert main([*line, "--json", str(stored)]) == DONE
-    found = json.loads(stored.read_text())
+    found = told(tmp_path, line)
     assert found["fixed"] == [one["name"] for one in found["subset"]["parameters"]
                               if one["advice"] == "fix"]  # fmt: skip
     assert found["fixed"]

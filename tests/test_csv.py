@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 from bad_input.csv_files import CHANNELS, GOOD, NOTED, READ, REFUSED
+from bad_input.problem_files import REFUSED as FOLDERS
+from commands import told
 
+from benchmarks.bad_input import NOTED_AND_REFUSED, PAGE, csv_message, table
 from oed_sysid import Channels, Input, Output, Record, load_problem, read_csv
 from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.errors import DataError, ProblemError, UnitWarning, closest
@@ -266,10 +268,8 @@ def test_time_unit_takes_precedence(tmp_path: Path, capsys) -> None:
     """With --time-unit ms the wrong header reads as the right one; other words are refused."""
     results = []
     for unit, option in (("s", ["--time-unit", "ms"]), ("ms", [])):
-        stored = tmp_path / f"{unit}.json"
-        line = ["rank", "nomoto_sparse_heading", milliseconds(tmp_path, unit), *option]
-        assert main([*line, "--json", str(stored), "--quiet"]) == DONE
-        results.append(json.loads(stored.read_text())["ranking"])
+        line = ["rank", "nomoto_sparse_heading", milliseconds(tmp_path, unit), *option, "--quiet"]
+        results.append(told(tmp_path, line)["ranking"])
     assert results[0] == results[1]
     path = milliseconds(tmp_path, "s")
     assert main(["check", "nomoto_sparse_heading", path, "--time-unit", "weeks"]) == BAD_INPUT
@@ -350,10 +350,6 @@ def test_clocks_give_the_same_times(tmp_path: Path) -> None:
 
 def test_page_of_errors_is_current() -> None:
     """docs/errors.md holds every kind of the catalogues, and of files the very messages."""
-    from bad_input.problem_files import REFUSED as FOLDERS
-
-    from benchmarks.bad_input import NOTED_AND_REFUSED, PAGE, csv_message, table
-
     page = PAGE.read_text(encoding="utf-8")
     rows = table((kind, csv_message(content)) for kind, content, _ in NOTED_AND_REFUSED)
     assert rows in page, "run: python -m benchmarks.bad_input --write"

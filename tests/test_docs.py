@@ -16,9 +16,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
-from oed_sysid import load_problem, simulate_inputs, write_csv
+from oed_sysid import Record, load_problem, results, simulate_inputs, write_csv
 from oed_sysid.cli import DONE, main
+from oed_sysid.cli.application import app
+from oed_sysid.data.mapping import parse
+from oed_sysid.text.expressions import FUNCTIONS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted(
@@ -32,6 +36,12 @@ def blocks(path: Path, language: str) -> list[str]:
     """Fenced blocks of a page in a language; those of no language are plain."""
     every = re.findall(r"```(.*?)\n(.*?)```", path.read_text(encoding="utf-8"), re.DOTALL)
     return [text for kind, text in every if kind == language]
+
+
+def commands(page: Path) -> list[list[str]]:
+    """What follows the program's name in the command lines of a page, word by word."""
+    lines = "\n".join(blocks(page, "")).replace("\\\n", " ").splitlines()
+    return [shlex.split(line)[1:] for line in lines if line.startswith("oed-sysid ")]
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
@@ -58,10 +68,6 @@ def test_index_names_every_page() -> None:
 
 def test_command_line_page_names_every_command() -> None:
     """The table of commands is that of the program."""
-    import typer
-
-    from oed_sysid.cli.application import app
-
     page = (ROOT / "docs" / "command_line.md").read_text(encoding="utf-8")
     table = page.split("## The JSON")[0]
     documented = set(re.findall(r"`([a-z]+) [^`]*`", "\n".join(re.findall(r"^\|.*", table, re.M))))
@@ -107,10 +113,6 @@ def test_search_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 def _zigzags(model, folder: Path) -> None:
     """Two records with a little noise, as the quick start reads them."""
-    import numpy as np
-
-    from oed_sysid import Record
-
     rng = np.random.default_rng(2)
     times = np.arange(0.0, 100.0, 0.5)
     for angle in (10, 20):
@@ -132,11 +134,9 @@ def test_tutorial_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     """Every command of the tutorial ends well and prints the numbers that the page shows."""
     monkeypatch.chdir(tmp_path)
     page = ROOT / "docs" / "tutorial.md"
-    lines = "\n".join(blocks(page, "")).replace("\\\n", " ").splitlines()
-    commands = [shlex.split(line) for line in lines if line.startswith("oed-sysid ")]
-    assert len(commands) >= 6
-    for command in commands:
-        assert main(command[1:]) == DONE, command
+    assert len(commands(page)) >= 6
+    for command in commands(page):
+        assert main(command) == DONE, command
     printed = capsys.readouterr().out
     # Rows of the page's tables, number by number: rounding may differ by machine.
     shown = [line.split() for block in blocks(page, "") for line in block.splitlines()]
@@ -181,8 +181,6 @@ def test_export_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
 
 def test_logs_page_maps_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The mapping of the page is understood, key by key."""
-    from oed_sysid.data.mapping import parse
-
     (text,) = blocks(ROOT / "docs" / "logs.md", "toml")
     mapping = parse(text)
     assert (mapping.problem, mapping.by_commands.threshold) == ("my_boat", 0.05)
@@ -191,8 +189,6 @@ def test_logs_page_maps_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 def test_language_of_the_page_is_that_of_the_package() -> None:
     """The table of functions on the page names every function of the language."""
-    from oed_sysid.text.expressions import FUNCTIONS
-
     text = (ROOT / "docs" / "own_vehicle.md").read_text(encoding="utf-8")
     table = text.split("## 4. What a text may say")[1].split("Everything is checked")[0]
     assert [name for name in FUNCTIONS if not re.search(rf"\b{name}\b", table)] == []
@@ -202,23 +198,18 @@ def test_language_of_the_page_is_that_of_the_package() -> None:
 def test_own_vehicle_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The commands of the page end well, the log of the second being one of the first's."""
     monkeypatch.chdir(tmp_path)
-    text = (ROOT / "docs" / "own_vehicle.md").read_text(encoding="utf-8")
-    fenced = re.findall(r"^```(\w*)\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
-    lines = "\n".join(block for language, block in fenced if not language).splitlines()
-    commands = [shlex.split(line) for line in lines if line.startswith("oed-sysid ")]
-    assert len(commands) == 5
-    for command in commands:
+    every = commands(ROOT / "docs" / "own_vehicle.md")
+    assert len(every) == 5
+    for command in every:
         if "--from" in command:
             record = load_problem(tmp_path / "my_auv").data()[0]
             write_csv(record, tmp_path / "log.csv")
             command = [part if part != "rudder" else "dr" for part in command]
-        assert main(command[1:]) == DONE, command
+        assert main(command) == DONE, command
 
 
 def test_every_drawing_function_has_a_picture() -> None:
     """The gallery draws each public picture of the package; its page of the reference shows it."""
-    from oed_sysid import results
-
     drawn = set(re.findall(r"report\.(\w+)\(", (ROOT / "docs" / "gallery.py").read_text("utf-8")))
     public = {name for name in results.__all__ if name.startswith(("plot_", "figure_"))}
     assert not public - drawn

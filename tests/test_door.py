@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import told
+from log_writers import mcap
 from marks import slow
 
 from benchmarks import door
@@ -154,7 +155,7 @@ def test_mcap_of_protobuf(tmp_path: Path) -> None:
     proto = pytest.importorskip("google.protobuf.descriptor_pb2")
     from google.protobuf import descriptor_pool, message_factory
 
-    writer_of = pytest.importorskip("mcap.writer").Writer
+    pytest.importorskip("mcap.writer")
     file = proto.FileDescriptorProto(name="a.proto", package="my", syntax="proto3")
     vector = file.message_type.add(name="Vector")
     for number, name in enumerate("xyz", start=1):
@@ -165,22 +166,13 @@ def test_mcap_of_protobuf(tmp_path: Path) -> None:
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
     made = message_factory.GetMessageClass(pool.FindMessageTypeByName("my.Imu"))
-    path = tmp_path / "run.mcap"
-    with path.open("wb") as stream:
-        writer = writer_of(stream)
-        writer.start()
-        data = proto.FileDescriptorSet(file=[file]).SerializeToString()
-        channel = writer.register_channel(
-            "/imu", "protobuf", writer.register_schema("my.Imu", "protobuf", data)
-        )
-        for time in T[:50]:
-            message = made()
-            message.rate.z = 0.1 * time
-            message.q.extend([1.0, 0.0, 0.0, 0.0])
-            stamp = round(1e9 * time) + 10**18
-            writer.add_message(channel, stamp, message.SerializeToString(), stamp)
-        writer.finish()
-    log = open_log(path)
+    messages = []
+    for time in T[:50]:
+        message = made(q=[1.0, 0.0, 0.0, 0.0])
+        message.rate.z = 0.1 * time
+        messages.append((round(1e9 * time) + 10**18, message.SerializeToString()))
+    schema = "my.Imu", "protobuf", proto.FileDescriptorSet(file=[file]).SerializeToString()
+    log = open_log(mcap(tmp_path / "run.mcap", schema, "protobuf", {"/imu": messages}))
     np.testing.assert_allclose(log["imu.rate.z"].values, 0.1 * T[:50])
     np.testing.assert_allclose(log["imu.rate.z"].times, T[:50], atol=1e-6)
 
@@ -215,12 +207,10 @@ def test_import_says_what_it_read_and_keeps_the_mapping(tmp_path: Path) -> None:
     rows = [f"{a:.2f},{b:.6f},{c:.8f}" for a, b, c in zip(T, s["psi"], s["r"], strict=True)]
     log = tmp_path / "log.csv"
     log.write_text("\n".join(["temps,cap,vitesse de lacet", *rows]))
-    facts = tmp_path / "told.json"
-    assert main(["import", str(log), "--json", str(facts)]) == DONE
-    content = json.loads(facts.read_text())
+    content = told(tmp_path, ["import", log])
     assert content["axes"][0]["says"] == "as read"
-    told = {one["role"]: one for one in content["guesses"]}
-    assert (told["psi"]["unit"], told["r"]["unit"]) == ("rad", "rad/s")
+    guessed = {one["role"]: one for one in content["guesses"]}
+    assert (guessed["psi"]["unit"], guessed["r"]["unit"]) == ("rad", "rad/s")
     for name, more in (("first", []), ("again", ["--map", str(tmp_path / "first/mapping.toml")])):
         assert main(["import", str(log), "--out", str(tmp_path / name), *more]) == DONE
     first, again = (tmp_path / name / "log.csv" for name in ("first", "again"))

@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import told
 from scipy.signal import lfilter
 from simple_models import NOMOTO, K, T
 
 import oed_sysid
-from oed_sysid import Dataset, Experiment, Input, Model, Output, Record, State, write_csv
-from oed_sysid.cli import DONE, main
+from oed_sysid import Dataset, Experiment, Input, Model, Output, Record, State, compare, write_csv
 from oed_sysid.cli.script import part_of
 from oed_sysid.cli.study import Study
 from oed_sysid.cli.tasks import TASKS
 from oed_sysid.errors import DataError
-from oed_sysid.evidence.compare import compare
-from oed_sysid.evidence.frequency import (
-    FAILS,
-    HOLDS,
-    compare_frequency,
-    frequency_response,
-)
+from oed_sysid.evidence.frequency import FAILS, HOLDS, compare_frequency, frequency_response
 from oed_sysid.experiments.manoeuvres import PRBS
 from oed_sysid.experiments.simulation import simulate
 
@@ -151,11 +144,9 @@ def test_the_command_compares_frequency_responses(tmp_path: Path) -> None:
     paths = [str(tmp_path / f"{i}.csv") for i in (1, 2)]
     for path in paths:
         write_csv(simulate(problem.model, run, rng=rng), path)
-    stored, page = tmp_path / "c.json", tmp_path / "c.html"
+    page = tmp_path / "c.html"
     line = ["compare", "online_ship", paths[0], "--validate", paths[1], "--frequency"]
-    line += ["--disturbances", "none"]
-    assert main([*line, "--json", str(stored), "--html", str(page)]) == DONE
-    found = json.loads(stored.read_text())["frequency"]
+    found = told(tmp_path, [*line, "--disturbances", "none", "--html", page])["frequency"]
     assert {band["verdict"] for band in found["bands"]} >= {HOLDS}
     assert any("delta to r: holds over" in words for words in found["verdict"])
     assert "Frequency responses" in page.read_text()

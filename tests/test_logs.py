@@ -6,16 +6,9 @@ import json
 import os
 from pathlib import Path
 
+import log_writers as writers
 import numpy as np
 import pytest
-from log_writers import (
-    Voyage,
-    write_bag,
-    write_dataflash,
-    write_mcap,
-    write_nmea,
-    write_ulog,
-)
 
 from oed_sysid import Channels, Dataset, Input, Output, new_problem, read_csv
 from oed_sysid.cli import main
@@ -50,7 +43,7 @@ def apart_from_us() -> None:
     """Parsers run as for a user."""
 
 
-VOYAGE = Voyage.short()
+VOYAGE = writers.Voyage.short()
 CHANNELS = Channels(
     (Input("rudder", "rad"),), (Output("psi", "rad", wrap=True), Output("r", "rad/s"))
 )
@@ -59,7 +52,7 @@ CHANNELS = Channels(
 def ulog(folder: Path) -> Path:
     """The voyage as PX4 would log it."""
     v = VOYAGE
-    return write_ulog(
+    return writers.write_ulog(
         folder / "flight.ulg",
         {
             "vehicle_attitude": (v.t_psi, {"q": v.quaternion(v.t_psi)}),
@@ -94,7 +87,7 @@ def dataflash(folder: Path) -> Path:
         "RCOU": (v.t_rudder, {"C1": 1500 + 1000 * v.rudder(v.t_rudder)}),
     }
     units = {"ATT.Yaw": "h", "IMU.GyrZ": "E", "RCOU.C1": "Y"}
-    return write_dataflash(folder / "00000001.BIN", topics, units)
+    return writers.write_dataflash(folder / "00000001.BIN", topics, units)
 
 
 DATAFLASH_MAP = """
@@ -189,13 +182,13 @@ def test_dataflash_states_its_units(tmp_path: Path) -> None:
 def test_bags_of_both_versions(tmp_path: Path, version: int) -> None:
     """Header stamps are the clock; ENU and FLU become NED."""
     path = tmp_path / ("run.bag" if version == 1 else "run")
-    check_voyage(write_bag(path, VOYAGE, version=version), BAG_MAP, digits=1e-7)
+    check_voyage(writers.write_bag(path, VOYAGE, version=version), BAG_MAP, digits=1e-7)
 
 
 def test_mcap_of_ros_and_json(tmp_path: Path) -> None:
     """The MCAP inside a ROS 2 bag reads as the bag does, and JSON messages are read too."""
     v = VOYAGE
-    path = write_mcap(
+    path = writers.write_mcap(
         tmp_path / "run.mcap",
         {
             "nav": (v.t_psi, {"psi": v.psi(v.t_psi)}),
@@ -219,22 +212,17 @@ def test_mcap_of_ros_and_json(tmp_path: Path) -> None:
 
 def test_mcap_of_cdr(tmp_path: Path) -> None:
     """Messages of ROS 2 in a single MCAP file are decoded by the definitions that it holds."""
-    from mcap.writer import Writer
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     kind = "geometry_msgs/msg/Vector3"
     text, _ = store.generate_msgdef(kind)
-    path = tmp_path / "run.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream, chunk_size=2000)
-        writer.start()
-        schema = writer.register_schema(kind, "ros2msg", text.encode())
-        channel = writer.register_channel("/rates", "cdr", schema)
-        for k in range(200):
-            raw = bytes(store.serialize_cdr(store.types[kind](0.0, 0.5, 0.01 * k), kind))
-            writer.add_message(channel, 10**9 + k * 10**8, raw, 0)
-        writer.finish()
+    rates = [store.types[kind](0.0, 0.5, 0.01 * k) for k in range(200)]
+    messages = [
+        (10**9 + k * 10**8, bytes(store.serialize_cdr(one, kind))) for k, one in enumerate(rates)
+    ]
+    schema = kind, "ros2msg", text.encode()
+    path = writers.mcap(tmp_path / "run.mcap", schema, "cdr", {"/rates": messages}, chunk_size=2000)
     series = open_log(path)["rates.z"]
     np.testing.assert_allclose(series.values, 0.01 * np.arange(200))
     assert series.rate == pytest.approx(10.0)
@@ -257,13 +245,13 @@ def test_nmea_with_and_without_times(tmp_path: Path) -> None:
     [outputs.r]
     field = "HEROT.rate_of_turn"
     """
-    exact = open_log(write_nmea(tmp_path / "a.nmea", VOYAGE, stamped=True))
+    exact = open_log(writers.write_nmea(tmp_path / "a.nmea", VOYAGE, stamped=True))
     record = import_log(exact, parse(mapping), CHANNELS).dataset[0]
     r = record.output("r")
     present = np.isfinite(r)
     np.testing.assert_allclose(r[present], VOYAGE.r(record.times[present]), atol=2e-4)
     assert any("torn" in note for note in exact.notes)
-    spread = open_log(write_nmea(tmp_path / "b.nmea", VOYAGE, stamped=False))
+    spread = open_log(writers.write_nmea(tmp_path / "b.nmea", VOYAGE, stamped=False))
     assert any("spread evenly" in note for note in spread.notes)
     np.testing.assert_allclose(
         spread["HEROT.rate_of_turn"].times, exact["HEROT.rate_of_turn"].times, atol=0.15
@@ -474,7 +462,7 @@ def test_torn_logs_say_so(tmp_path: Path) -> None:
     whole = {
         "torn.ulg": ulog(tmp_path),
         "torn.BIN": dataflash(tmp_path),
-        "torn.bag": write_bag(tmp_path / "run.bag", VOYAGE, version=1),
+        "torn.bag": writers.write_bag(tmp_path / "run.bag", VOYAGE, version=1),
     }
     for name, source in whole.items():
         content = source.read_bytes()
@@ -595,7 +583,7 @@ def test_two_commands_from_log_to_checked_records(
     logs = {
         str(ulog(tmp_path).name): ULOG_MAP,
         str(dataflash(tmp_path).name): DATAFLASH_MAP,
-        str(write_bag(tmp_path / "run", VOYAGE, version=2).name): BAG_MAP,
+        str(writers.write_bag(tmp_path / "run", VOYAGE, version=2).name): BAG_MAP,
     }
     for log, text in logs.items():
         Path("map.toml").write_text(text)

@@ -20,7 +20,7 @@ import oed_sysid
 from oed_sysid import Fit, __version__
 from oed_sysid.cli import main
 from oed_sysid.errors import DataError
-from oed_sysid.likelihood.archive import decode, encode, read_result
+from oed_sysid.likelihood.archive import _digest, decode, encode, read_result
 from oed_sysid.runtime.moved import MOVED, new_path
 
 SAVED = Path(__file__).parent / "saved"
@@ -222,8 +222,6 @@ def whole() -> dict:
     """A good file of this version as plain data."""
     place = SAVED.parent / "saved" / "fit_format_1.json"
     content = json.loads(place.read_text())["fit"]
-    from oed_sysid.likelihood.archive import _digest
-
     head = {"format": 2, "kind": "fit", "made": {"version": "0.1.0"}}
     return {**head, "sha256": _digest(content), "content": content}
 

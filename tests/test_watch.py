@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import socket
 import threading
@@ -13,9 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import told
+from log_writers import sentence
 
 from oed_sysid import Channels, Input, Output, Record, load_problem, read_csv, simulate
-from oed_sysid.cli import main
 from oed_sysid.data.live import Place, samples
 from oed_sysid.errors import DataError
 
@@ -42,11 +42,10 @@ def lines(record: Record) -> Iterator[str]:
 
 def test_a_log_is_watched(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The command ends at estimates near the truth, with a page and plain data."""
-    log, page, told = tmp_path / "run.csv", tmp_path / "live.html", tmp_path / "told.json"
+    log, page = tmp_path / "run.csv", tmp_path / "live.html"
     log.write_text("\n".join(lines(zigzag())) + "\n")
-    arguments = ["watch", "online_ship", "--source", str(log), "--silence", "0.2"]
-    assert main([*arguments, "--json", str(told), "--html", str(page)]) == 0
-    data = json.loads(told.read_text())
+    line = ["watch", "online_ship", "--source", log, "--silence", "0.2", "--html", page]
+    data = told(tmp_path, line)
     truth = load_problem("online_ship").model.values
     assert data["samples"] == len(zigzag().times)
     near = [
@@ -100,14 +99,6 @@ def test_lines_are_read_as_the_file_is(tmp_path: Path) -> None:
     assert found[-1][1]["d"] == pytest.approx(-math.radians(7.0))
 
 
-def checked(text: str) -> str:
-    """A sentence with its checksum."""
-    total = 0
-    for character in text:
-        total ^= ord(character)
-    return f"${text}*{total:02X}"
-
-
 def test_sentences_are_gathered(tmp_path: Path) -> None:
     """Heading, rate of turn and rudder of NMEA 0183, wrapped at north, at a period."""
     pytest.importorskip("pynmea2")
@@ -118,7 +109,7 @@ def test_sentences_are_gathered(tmp_path: Path) -> None:
             for text in (
                 f"HEHDT,{heading:.1f},T", "TIROT,30.0,A", f"AGRSA,{5.0:.1f},A,,V",
             ):  # fmt: skip
-                file.write(f"{0.5 * k:.2f} {checked(text)}\n")
+                file.write(f"{0.5 * k:.2f} {sentence(text)}\n")
     places = {
         "psi": Place.of("HDT.heading:deg"),
         "r": Place.of("ROT.rate_of_turn:deg/min"),

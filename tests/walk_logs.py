@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from log_writers import write_dataflash, write_ulog
+from log_writers import quaternion, write_dataflash, write_ulog
 from scipy.io import savemat
 
 from oed_sysid import Dataset
@@ -43,20 +43,6 @@ class Trial:
     def every(self, step: int, *names: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Times and signals, every so many samples."""
         return self.times[::step], {name: self.signals[name][::step] for name in names}
-
-
-def quaternion(phi: np.ndarray, theta: np.ndarray, psi: np.ndarray) -> np.ndarray:
-    """Body to earth axes of Euler angles, scalar part first, shape (n, 4)."""
-    a, b, c = np.cos(phi / 2), np.cos(theta / 2), np.cos(psi / 2)
-    d, e, f = np.sin(phi / 2), np.sin(theta / 2), np.sin(psi / 2)
-    return np.column_stack(
-        [
-            a * b * c + d * e * f,
-            d * b * c - a * e * f,
-            a * e * c + d * b * f,
-            a * b * f - d * e * c,
-        ]
-    )
 
 
 def ship_log(trial: Trial, folder: Path) -> None:
