@@ -9,14 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from oed_sysid import diagnose
-from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid import Dataset, Fit, Problem, Record, diagnose, improve, load_problem, simulate
 from oed_sysid.evidence.compare import Diagnosis
-from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.improvement import Improvement
-from oed_sysid.experiments.problem import Problem, load_problem
-from oed_sysid.experiments.simulation import simulate
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.realisation import simulate_at_sea

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import io
 import json
+import operator
 import shlex
+import shutil
 import socket
+import subprocess
 import sys
 import time
 import zipfile
@@ -36,13 +39,14 @@ from app_pages import (  # noqa: F401
 )
 
 from oed_sysid import Dataset, Fit, OedSysidError, load_problem, read_csv, write_csv
-from oed_sysid.app import pages
+from oed_sysid.app import pages, trust
 from oed_sysid.app.choices import likely_test, read_uploads, simulated
 from oed_sysid.app.jobs import Desk, Request
 from oed_sysid.app.launch import orders, start
 from oed_sysid.app.panels import zipped
 from oed_sysid.app.takeaway import write_records
-from oed_sysid.app.visit import Asked, Left, Shelf, new_id
+from oed_sysid.app.trust import SECRET, NotTrustedError, check_trusted, consent
+from oed_sysid.app.visit import Asked, Left, Shelf, desk, new_id
 from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.cli.options import line_of
 from oed_sysid.cli.study import Study
@@ -53,8 +57,6 @@ from oed_sysid.cli.terminal import Shown
 @pytest.mark.slow
 def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch, capsys) -> None:
     """The whole flow: fit, compare, improve, step back, rank; and the commands repeat it."""
-    from oed_sysid.app.visit import desk
-
     problem = load_problem(ship)
     app = opened(ship)
     assert app.header[0].value == problem.title
@@ -299,8 +301,6 @@ def test_missing_extra_is_named(monkeypatch, capsys) -> None:
 
 def test_application_is_not_imported_with_the_package() -> None:
     """Naming the commands costs no streamlit."""
-    import subprocess
-
     code = (
         "import sys, json, oed_sysid.cli.application; print(json.dumps('streamlit' in sys.modules))"
     )
@@ -343,8 +343,6 @@ def test_check_page_says_what_it_does_not_correct(ship: Path) -> None:
 
 def _other_folder(ship: Path, folder: Path, mark: Path) -> Path:
     """A copy of a problem that leaves a mark when it is run."""
-    import shutil
-
     shutil.copytree(ship, folder)
     file = folder / "problem.py"
     file.write_text(f"open({str(mark)!r}, 'a').write('x')\n" + file.read_text())
@@ -371,8 +369,6 @@ def test_a_strangers_problem_is_run_only_after_consent(ship: Path, tmp_path: Pat
 
 def test_consent_ends_where_others_can_write(ship: Path, tmp_path: Path) -> None:
     """In a folder that others can change, every change of the program asks again."""
-    from oed_sysid.app.trust import NotTrustedError, check_trusted, consent
-
     folder = _other_folder(ship, tmp_path / "ferry", tmp_path / "ran")
     agreed = {consent(str(folder)): True}
     check_trusted(str(folder), agreed)
@@ -401,8 +397,6 @@ def test_consent_of_one_session_is_none_of_another(ship: Path, tmp_path: Path) -
 
 def test_address_without_the_key_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever does not know the secret of this run sees no page and runs nothing."""
-    from oed_sysid.app.trust import SECRET
-
     monkeypatch.setenv(SECRET, "right")
     app = testing.AppTest.from_function(
         script, kwargs={"problem": "remus_diving_plane"}, default_timeout=PATIENCE
@@ -420,8 +414,6 @@ def test_address_without_the_key_shows_nothing(monkeypatch: pytest.MonkeyPatch) 
 
 def test_uploads_are_limited_and_stay_in_their_folder(ship: Path, monkeypatch) -> None:
     """Too many bytes are refused in words, and no name leads out of the folder."""
-    from oed_sysid.app import trust
-
     problem = load_problem(ship)
     good = (ship / "data" / "turning_circle.csv").read_bytes()
     names = ["../../out.csv", "..", "a/b\\c.csv", "x\0y.csv", "n" * 300 + ".csv"]
@@ -492,8 +484,6 @@ def test_job_stops_before_it_has_read_what_to_do(study: Study, tmp_path: Path) -
 
 def test_job_that_fails_says_why(study: Study, tmp_path: Path) -> None:
     """Bad input, a fault of the program and a killed process are told apart, in words."""
-    import operator
-
     desk = Desk(tmp_path)
     alone = Study(study.source, "default", study.problem, study.train, None)
     wrong = desk.ask("one", "compare", Request.of(alone, TASKS["compare"], {}))
@@ -512,8 +502,6 @@ def test_job_that_fails_says_why(study: Study, tmp_path: Path) -> None:
 
 def test_work_ends_with_the_program(ship: Path, tmp_path: Path) -> None:
     """A program that is killed leaves no work behind."""
-    import subprocess
-
     code = (
         "import sys, time\nfrom pathlib import Path\n"
         "from oed_sysid import load_problem\n"
@@ -598,8 +586,6 @@ def test_choices_outlive_their_widgets(ship: Path) -> None:
 
 def test_reload_in_mid_job_waits_for_the_same_job(ship: Path) -> None:
     """A job goes on while the browser is away, and its result is found by the same address."""
-    from oed_sysid.app.visit import desk
-
     app = following(opened(ship))
     mine = [j for (who, _), j in desk()._jobs.items() if who == app.session_state["study"]]
     again = fine(checked(reopened(app, ship)))

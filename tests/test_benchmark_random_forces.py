@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.random_forces import reference as cache
+from benchmarks.random_forces import trial
 from benchmarks.random_forces.measures import measure, missed, table
 from benchmarks.random_forces.reference import (
     Structure,
@@ -30,15 +31,6 @@ from benchmarks.random_forces.scenarios import (
     pitch_pole,
 )
 from benchmarks.random_forces.simulator import Set, simulate
-from benchmarks.random_forces.trial import (
-    Outcome,
-    believed,
-    concerns,
-    dataset,
-    forces,
-    nominal_model,
-    outcome,
-)
 from oed_sysid import MultipleShooting, load_problem
 
 needs_compiler = pytest.mark.skipif(
@@ -101,7 +93,7 @@ def test_samples_are_missing_as_stated() -> None:
     (data,) = simulate(scenario, 2, [0])
     run = data.runs[0]
     model = load_problem("remus_diving_plane").model
-    record = dataset(scenario, model, data.runs)["zigzag_10_10"]
+    record = trial.dataset(scenario, model, data.runs)["zigzag_10_10"]
     assert record.n_samples / len(run.times) == pytest.approx(0.4, abs=0.1)
     held = np.searchsorted(record.times, run.times, side="right") - 1
     np.testing.assert_array_equal(record.inputs[held], run.inputs)
@@ -202,7 +194,7 @@ def test_one_fit_through_the_public_api() -> None:
     """On a short white record the shipped model is the simulated one: errors are as stated."""
     scenario = short("white")
     (data,) = simulate(scenario, 0, [0])
-    found = outcome(scenario, data, {"disturbances": "auto", "coloured": "never"})
+    found = trial.outcome(scenario, data, {"disturbances": "auto", "coloured": "never"})
     assert found.status == "converged"
     z = np.array([(found.estimates[n] - v) / found.std_errors[n] for n, v in data.truth.items()])
     assert np.abs(z).max() < 4.0
@@ -212,7 +204,7 @@ def test_one_fit_through_the_public_api() -> None:
     assert set(found.estimates) == set(REMUS.believed)
 
 
-def fake(number: int, offset: float, **changes: object) -> Outcome:
+def fake(number: int, offset: float, **changes: object) -> trial.Outcome:
     """A fit whose every parameter is off by some stated errors of one per cent."""
     truth = dict(REMUS.believed)
     values = {
@@ -226,7 +218,7 @@ def fake(number: int, offset: float, **changes: object) -> Outcome:
         "covered": {"fit": 0.95, "first": 0.9},
         "seconds": 0.1,
     }
-    return Outcome(**{**values, **changes})  # type: ignore[arg-type]
+    return trial.Outcome(**{**values, **changes})  # type: ignore[arg-type]
 
 
 def test_measures_count_what_they_say() -> None:
@@ -292,12 +284,12 @@ def test_what_a_fit_warns_of_is_read_from_its_concerns() -> None:
     status = SimpleNamespace(ok=False, code="stalled")
     noise = SimpleNamespace(force=np.array([0.1, 0.2, 0.3]), force_time=np.array([1.0, 2.0, 3.0]))
     fit = SimpleNamespace(status=status, concerns=[SimpleNamespace(kind="spikes")], noise=noise)
-    assert concerns(fit) == ("stalled", "spikes")  # type: ignore[arg-type]
-    told = forces(fit, "remus")  # type: ignore[arg-type]
+    assert trial.concerns(fit) == ("stalled", "spikes")  # type: ignore[arg-type]
+    told = trial.forces(fit, "remus")  # type: ignore[arg-type]
     assert told is not None
     assert told["M"] == (0.3, 3.0)
     fit.noise = SimpleNamespace(force=np.zeros(0), force_time=np.zeros(0))
-    assert forces(fit, "remus")["Z"][0] == 0.0  # type: ignore[arg-type, index]
+    assert trial.forces(fit, "remus")["Z"][0] == 0.0  # type: ignore[arg-type, index]
 
 
 def test_cached_reference_is_of_these_data(tmp_path: Path, medium: list[Set]) -> None:
@@ -339,8 +331,8 @@ def test_errors_of_an_unstable_vehicle_are_not_those_of_rounding() -> None:
     """
     scenario = SCENARIOS["unstable"]
     (drawn,) = simulate(scenario, 0, [42])
-    model = nominal_model(scenario.vehicle).with_values(believed(scenario))
-    data = dataset(scenario, model, drawn.runs)
+    model = trial.nominal_model(scenario.vehicle).with_values(trial.believed(scenario))
+    data = trial.dataset(scenario, model, drawn.runs)
     truth = drawn.truth
     fits = [
         MultipleShooting().fit(start, data)

@@ -10,35 +10,24 @@ import numpy as np
 import pytest
 from marks import slow
 
-from benchmarks.strangers import (
-    EXCITATIONS,
-    KINDS,
-    STORE,
-    Stranger,
-    accepted,
-    candidates,
-    dates,
-    drawn,
-    nominal,
-    shown,
-    table,
-    whitened,
-)
+from benchmarks import strangers
 from oed_sysid import Dataset, improve
 from oed_sysid.experiments.simulation import simulate_inputs
 
 
-@pytest.mark.parametrize("kind", [KINDS[0], *slow(*KINDS[1:])])
+@pytest.mark.parametrize("kind", [strangers.KINDS[0], *slow(*strangers.KINDS[1:])])
 def test_a_candidate_is_what_is_hidden(kind: str) -> None:
     """The nominal model with the candidate at the hidden size runs as SciPy's truth does."""
-    truth = Stranger.drawn(np.random.default_rng(4))
-    values, excitation = truth.estimated(), EXCITATIONS[len(kind) % 2]
+    truth = strangers.Stranger.drawn(np.random.default_rng(4))
+    values, excitation = truth.estimated(), strangers.EXCITATIONS[len(kind) % 2]
     inputs, plain = truth.run(excitation, 7, {}, values)
     level = plain.std(axis=0)
-    key, effect = next((k, e) for k, e in candidates(truth, level).items() if k[0] == kind)
+    key, effect = next(
+        (k, e) for k, e in strangers.candidates(truth, level).items() if k[0] == kind
+    )
     size = effect.parameters[0].magnitude * (-1.0 if kind == "quadratic" else 1.0)
     inputs, hidden = truth.run(excitation, 7, {key: size}, values)
-    model = nominal(truth, values, np.ones(len(level))) + effect
+    model = strangers.nominal(truth, values, np.ones(len(level))) + effect
     model = model.with_values({effect.parameters[0].name: size})
     run = simulate_inputs(
         model,
@@ -56,7 +45,7 @@ def test_what_a_sea_hides_counts_as_hidden() -> None:
     An effect is worth less at sea than the sensors alone would say.
     """
     rng = np.random.default_rng(21)
-    truth = Stranger.drawn(rng)
+    truth = strangers.Stranger.drawn(rng)
     assert (truth.spring > 0).tolist() == [False, True]  # both kinds of equation, and no more
     values, none = truth.estimated(), np.zeros(len(truth.gain))
     calm = replace(truth, coupling=none)
@@ -65,40 +54,42 @@ def test_what_a_sea_hides_counts_as_hidden() -> None:
     made = [calm.run("sea", seed, {}, values | still, exact=False)[1] for seed in range(8)]
     rows = np.stack(made, axis=-1) + level[:, None] * rng.standard_normal((*made[0].shape, 8))
     assert np.std(rows / level[:, None]) > 3.0
-    white = whitened(calm, rows, level, sea=True)
+    white = strangers.whitened(calm, rows, level, sea=True)
     assert np.std(white) == pytest.approx(1.0, abs=0.03)
     assert abs(np.mean(white[1:] * white[:-1])) < 0.03
-    np.testing.assert_allclose(whitened(calm, rows, level, sea=False) * level[:, None], rows)
+    np.testing.assert_allclose(
+        strangers.whitened(calm, rows, level, sea=False) * level[:, None], rows
+    )
     hidden = {("offset", 0): 0.05}
-    seen = {e: shown(calm, [(e, 5)], hidden, level) for e in ("steps", "sea")}
+    seen = {e: strangers.shown(calm, [(e, 5)], hidden, level) for e in ("steps", "sea")}
     assert 1.0 < seen["sea"] < 0.3 * seen["steps"]
-    assert shown(calm, [("sea", 5)], {}, level) == np.inf
+    assert strangers.shown(calm, [("sea", 5)], {}, level) == np.inf
 
 
 def test_all_and_nothing_else_is_accepted() -> None:
     """Groups count for one effect; one claim too many, or too few, is not accepted."""
     row: dict[str, list] = {"effects": ["a", "b"], "steps": []}
     row["steps"] = [{"added": "c", "group": ["c", "b"]}, {"added": "a", "group": ["a"]}]
-    assert accepted(row)
-    assert not accepted({**row, "effects": ["a"]})
-    assert not accepted({**row, "steps": row["steps"][:1]})
-    assert accepted({"effects": [], "steps": []})
+    assert strangers.accepted(row)
+    assert not strangers.accepted({**row, "effects": ["a"]})
+    assert not strangers.accepted({**row, "steps": row["steps"][:1]})
+    assert strangers.accepted({"effects": [], "steps": []})
 
 
 def test_the_page_has_the_rates_of_the_store() -> None:
     """Those of the last date by excitation, those of the others together, are of stored cases."""
-    stored = [json.loads(line) for line in STORE.read_text("utf-8").splitlines()]
+    stored = [json.loads(line) for line in strangers.STORE.read_text("utf-8").splitlines()]
     last = max(row["seed"] for row in stored)
     page = (Path(__file__).parents[1] / "docs" / "diagnosis.md").read_text("utf-8")
     assert f"--seed {last} --cases {sum(row['seed'] == last for row in stored)}" in page
-    assert table([row for row in stored if row["seed"] == last]) in page
-    assert dates([row for row in stored if row["seed"] != last]) in page
+    assert strangers.table([row for row in stored if row["seed"] == last]) in page
+    assert strangers.dates([row for row in stored if row["seed"] != last]) in page
 
 
 @pytest.mark.slow
 def test_terms_are_asked_where_only_a_logged_input_is_noisy() -> None:
     """A case in which noise of the input stands in the place of every force comes to a verdict."""
-    _, model, (*train, last), offered = drawn(20261129, 13)
+    _, model, (*train, last), offered = strangers.drawn(20261129, 13)
     found = improve(model, Dataset(tuple(train)), Dataset((last,)), candidates=offered)
     assert all(place.startswith("actuator") for place in found.fit.noise.places)
     assert found.remains.kind

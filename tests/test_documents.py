@@ -12,6 +12,7 @@ from pathlib import Path
 import jinja2
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from benchmarks.documents import measured_data, page
 from benchmarks.documents.__main__ import PAGES, main
@@ -363,8 +364,6 @@ def test_a_number_that_decides_nothing_is_written(
 @pytest.mark.parametrize("name", FIGURES)
 def test_figures_are_drawn(name: str, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     """Each figure of the quick papers is a picture with ink on it."""
-    from matplotlib.image import imread
-
     script = paper(name)
     if name == "online_ship":
         script.figures(tmp_path, script.on_line())

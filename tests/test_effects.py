@@ -8,20 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import vehicles
 from marks import slow
 from scipy.integrate import solve_ivp
-from vehicles import (
-    DIVING_INPUTS,
-    DIVING_MIRROR,
-    DIVING_START,
-    ROLL_MIRROR,
-    SHIP_INPUTS,
-    SHIP_MIRROR,
-    SHIP_START,
-    remus,
-    roll_oscillator,
-    ship,
-)
 
 from oed_sysid import (
     Actuator,
@@ -37,16 +26,8 @@ from oed_sysid import (
 from oed_sysid import physics as effects
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.physics import (
-    Effect,
-    bouc_wen_hysteresis,
-    coulomb_friction,
-    dahl_friction,
-    delayed_force,
-    mechanical_effects,
-    steady_wind,
-    table_from_csv,
-)
+from oed_sysid.physics import Effect
+from oed_sysid.physics.words import _factors, _labels, in_words
 from oed_sysid.testing import check_effect
 from oed_sysid.text import expressions
 
@@ -86,9 +67,11 @@ TABULATED = effects.wind_load(
 )
 ARM = effects.righting_arm_table("gz", [-1.0, -0.33, 0.0, 0.33, 1.0], [0.2, -0.1, 0, 0.1, -0.2])
 MECHANICAL = (
-    *mechanical_effects(force=1.0, stiffness=2.0),
-    bouc_wen_hysteresis("hysteresis", "K", "p", yielding=0.1, unit="N m", displacement_unit="rad"),
-    delayed_force("late", "K", "phi", unit="N m/rad", start="phi", delay=0.3),
+    *effects.mechanical_effects(force=1.0, stiffness=2.0),
+    effects.bouc_wen_hysteresis(
+        "hysteresis", "K", "p", yielding=0.1, unit="N m", displacement_unit="rad"
+    ),
+    effects.delayed_force("late", "K", "phi", unit="N m/rad", start="phi", delay=0.3),
 )
 
 
@@ -112,14 +95,14 @@ def pendulum(*effects: Effect) -> Model:
 
 
 # Vehicle, effects, what it does in the probe, and what changes sign in its mirror.
-DIVES = {"initial": DIVING_START, "inputs": DIVING_INPUTS}
-SAILS = {"initial": SHIP_START, "inputs": SHIP_INPUTS}
+DIVES = {"initial": vehicles.DIVING_START, "inputs": vehicles.DIVING_INPUTS}
+SAILS = {"initial": vehicles.SHIP_START, "inputs": vehicles.SHIP_INPUTS}
 CARRIED = (
-    (remus, DIVING, DIVES, DIVING_MIRROR),
-    (remus, GENERIC, DIVES, ()),
-    (ship, SHIP, SAILS, SHIP_MIRROR),
-    (ship, [TABULATED], SAILS, ()),
-    (roll_oscillator, [*ROLL, ARM], {}, ROLL_MIRROR),
+    (vehicles.remus, DIVING, DIVES, vehicles.DIVING_MIRROR),
+    (vehicles.remus, GENERIC, DIVES, ()),
+    (vehicles.ship, SHIP, SAILS, vehicles.SHIP_MIRROR),
+    (vehicles.ship, [TABULATED], SAILS, ()),
+    (vehicles.roll_oscillator, [*ROLL, ARM], {}, vehicles.ROLL_MIRROR),
     (pendulum, MECHANICAL, {"initial": {"phi": 0.4, "p": 0.3}}, ("phi", "p", "torque")),
 )
 CONTRACTS = [
@@ -148,7 +131,7 @@ def test_vocabulary_is_complete() -> None:
     assert len(parameters) == len(set(parameters))
     single = [e for e in DIVING if e.name != "wave_heave_force"]
     assert all(e.amplitude_names == (f"E_{e.name}",) for e in single)
-    assert len((remus() + DIVING).effects) == 42
+    assert len((vehicles.remus() + DIVING).effects) == 42
 
 
 @pytest.mark.parametrize(
@@ -179,11 +162,11 @@ def test_contract_finds_fault(effect: Effect, complaint: str) -> None:
     with pytest.raises(AssertionError, match=complaint):
         check_effect(
             effect,
-            remus(),
+            vehicles.remus(),
             rng=np.random.default_rng(8),
-            initial=DIVING_START,
-            inputs=DIVING_INPUTS,
-            mirror=DIVING_MIRROR,
+            initial=vehicles.DIVING_START,
+            inputs=vehicles.DIVING_INPUTS,
+            mirror=vehicles.DIVING_MIRROR,
         )
 
 
@@ -358,9 +341,6 @@ def test_sensor_chain_starts_without_transient() -> None:
 
 def test_one_parameter_for_several_channels() -> None:
     """Shared lag, delay and rate limit move each channel as its own effect would."""
-    from oed_sysid import Force, Input, Model, Output, State
-    from oed_sysid.compiled.kernels import kernel
-    from oed_sysid.physics import actuator_delay, actuator_lag, rate_limit
 
     def pair(*effects):
         return Model(
@@ -375,7 +355,11 @@ def test_one_parameter_for_several_channels() -> None:
 
     times = 0.1 * np.arange(80)
     inputs = np.column_stack([np.sign(np.sin(2 * times)), 0.4 * np.sign(np.cos(times))])
-    for make, value in ((actuator_lag, 0.3), (actuator_delay, 0.25), (rate_limit, 1.5)):
+    for make, value in (
+        (effects.actuator_lag, 0.3),
+        (effects.actuator_delay, 0.25),
+        (effects.rate_limit, 1.5),
+    ):
         shared = pair(make("both", ("a", "b"), value=value))
         single = pair(make("one", "a", value=value), make("two", "b", value=value))
         assert len(shared.free_names) == 1
@@ -432,7 +416,7 @@ def test_units_follow_from_names(effect: Effect, unit: str) -> None:
 
 def test_heavy_vehicle_sinks() -> None:
     """More weight than buoyancy accelerates downwards, along earth's vertical."""
-    level = remus()
+    level = vehicles.remus()
     heavy = level + effects.excess_buoyancy(value=2.0)
     still = [0.0, 0.0, 0.0, 0.0, 10.0]
     change = accelerations(heavy, still, [0.0, 0.0]) - accelerations(level, still, [0.0, 0.0])
@@ -543,7 +527,7 @@ def test_memory_fades_in_steady_motion() -> None:
 def test_added_mass_slows_the_response() -> None:
     """Doubling the inertia of sway halves its acceleration."""
     own, command = [7.0, 0.5, 0.0, 0.0, 0.0, 0.0], [0.0, 7e5]
-    model = ship()
+    model = vehicles.ship()
     double = model + effects.added_mass_factor("loading", {("Y", "v"): "m_y"}, scale=1, value=0.9)
     ratio = accelerations(double, own, command)[1] / accelerations(model, own, command)[1]
     assert ratio == pytest.approx(1 / 1.9, rel=1e-6)
@@ -583,7 +567,7 @@ def states(
 
 def test_dry_friction_takes_the_same_from_every_swing() -> None:
     """The amplitude of a free swing falls by 2 F/k at each half turn, as Coulomb's law says."""
-    friction = coulomb_friction("dry", "K", "p", unit="N m", value=0.1, smooth=0.001)
+    friction = effects.coulomb_friction("dry", "K", "p", unit="N m", value=0.1, smooth=0.001)
     _, found = states(pendulum(friction), lambda t: 0 * t, phi=1.0, end=8.0)
     phi, p = found[:, 0], found[:, 1]
     turning = [phi[i] for i in range(2, len(p)) if p[i - 1] * p[i] < 0]
@@ -595,7 +579,7 @@ def test_dry_friction_takes_the_same_from_every_swing() -> None:
 
 def test_dahl_friction_runs_around_a_loop() -> None:
     """Force against displacement encloses the area of friction, as the rule says exactly."""
-    effect = dahl_friction(
+    effect = effects.dahl_friction(
         "dahl", "K", "p", stiffness=20.0, unit="N m", displacement_unit="rad", value=0.4
     )
     _, found = states(pendulum(effect), lambda t: np.sin(2 * t))
@@ -608,7 +592,9 @@ def test_dahl_friction_runs_around_a_loop() -> None:
 
 def test_delayed_force_is_late() -> None:
     """A force of the angle 0.2 s ago equals that of the shifted sine, within 1 per cent."""
-    effect = delayed_force("late", "K", "phi", unit="N m/rad", start="phi", delay=0.2, value=0.01)
+    effect = effects.delayed_force(
+        "late", "K", "phi", unit="N m/rad", start="phi", delay=0.2, value=0.01
+    )
     model = pendulum(effect)
     times, found = states(model, lambda t: np.sin(3 * t), end=12.0)
     low, high, phi = found[:, 2], found[:, 3], found[:, 0]
@@ -622,7 +608,7 @@ def test_delayed_force_is_late() -> None:
 
 def test_bouc_wen_against_scipy() -> None:
     """The hysteretic state follows its rule, integrated independently."""
-    effect = bouc_wen_hysteresis(
+    effect = effects.bouc_wen_hysteresis(
         "h", "K", "p", yielding=0.1, unit="N m", displacement_unit="rad", value=0.6
     )
     times, found = states(pendulum(effect), lambda t: np.sin(2 * t))
@@ -639,12 +625,10 @@ def test_bouc_wen_against_scipy() -> None:
 
 def test_steady_wind_turns_with_the_heading() -> None:
     """Wind towards north pushes a ship that heads east to port, by the same force."""
-    wind = steady_wind()
+    wind = effects.steady_wind()
     assert set(wind.terms) == {"X", "Y", "N"}
-    from oed_sysid.text.expressions import to_numpy
-
     scope = {"E_wind_north": 3.0, "E_wind_east": 0.0, "arm_wind": 2.0, "psi": np.pi / 2}
-    forces = [float(to_numpy(wind.terms[axis], scope)) for axis in ("X", "Y", "N")]
+    forces = [float(expressions.to_numpy(wind.terms[axis], scope)) for axis in ("X", "Y", "N")]
     assert forces == pytest.approx([0.0, -3.0, -6.0], abs=1e-12)
 
 
@@ -653,7 +637,7 @@ def test_table_of_two_arguments_from_a_file(tmp_path: Path) -> None:
     file = tmp_path / "kt.csv"
     rows = ["10,2,5", "0,2,3", "0,1,1", "10,1,2"]
     file.write_text("beta [deg],V [m/s],K [kN]\n" + "\n".join(rows) + "\n")
-    x, y, values = table_from_csv(file)
+    x, y, values = effects.table_from_csv(file)
     np.testing.assert_allclose(x, np.radians([0, 10]))
     np.testing.assert_allclose(values, 1000 * np.array([[1, 3], [2, 5]]))
     assert y.tolist() == [1.0, 2.0]
@@ -674,7 +658,7 @@ def test_wrong_table_files_are_refused(tmp_path: Path, text: str, complaint: str
     file = tmp_path / "table.csv"
     file.write_text(text)
     with pytest.raises((DataError, ValueError), match=complaint):
-        table_from_csv(file)
+        effects.table_from_csv(file)
 
 
 @pytest.mark.parametrize("name", sorted(effects.LIBRARY))
@@ -715,9 +699,6 @@ def test_a_row_repeats_its_texts_for_signals_alike() -> None:
 @pytest.mark.parametrize("name", ["remus_diving_plane", "roll_decay", "catamaran"])
 def test_what_an_effect_is_said_to_grow_with_is_what_it_grows_with(name: str) -> None:
     """Of a force told as a product, twice a signal is two to its power times the force."""
-    from oed_sysid.physics.words import _factors, _labels, in_words
-    from oed_sysid.text.expressions import to_numpy
-
     problem = load_problem(name)
     labels = _labels(problem.model)
     told = 0
@@ -729,9 +710,9 @@ def test_what_an_effect_is_said_to_grow_with_is_what_it_grows_with(name: str) ->
         for signal, power in factors.items():
             powers[signal.strip("|")] = powers.get(signal.strip("|"), 0) + power
         scope = {one: 0.7 + 0.1 * place for place, one in enumerate(sorted(effect.uses()))}
-        force = float(to_numpy(text, scope))
+        force = float(expressions.to_numpy(text, scope))
         for signal in scope.keys() & labels.keys():
-            twice = float(to_numpy(text, scope | {signal: 2.0 * scope[signal]}))
+            twice = float(expressions.to_numpy(text, scope | {signal: 2.0 * scope[signal]}))
             assert twice / force == pytest.approx(2.0 ** powers.get(signal, 0))
         assert all(labels[signal] in in_words(effect, problem.model) for signal in powers) or (
             effect.description not in {one.description for one in effect.parameters}

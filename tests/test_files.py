@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import pickle
 import resource
@@ -215,8 +216,6 @@ KEY = "from oed_sysid.runtime.files import secret_key; print(secret_key().hex())
 
 def plant(folder: Path) -> None:
     """Put another library, with its right digest, where ours is kept."""
-    import hashlib
-
     (library,) = folder.glob("answer-*.so")
     code = folder / "planted.c"
     code.write_text(PLANTED)
@@ -274,8 +273,6 @@ class Bomb:
 
 def test_foreign_cell_is_never_unpickled(tmp_path: Path) -> None:
     """A cell with the digest that anyone can make is left alone; our own is read."""
-    import hashlib
-
     trace, cells = tmp_path / "trace", CellStore(tmp_path / "cells")
     cells.write("ours", 1.5)
     body = pickle.dumps(("theirs", Bomb(trace)))

@@ -6,16 +6,7 @@ import numpy as np
 import pytest
 from steered_ship import LEVEL, NOISE, PERIOD, TIME, WIDTH, YAW, Share, nothing, sailed
 
-from oed_sysid import (
-    Dataset,
-    Input,
-    Model,
-    MultipleShooting,
-    Output,
-    Parameter,
-    Record,
-    State,
-)
+from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, Record, State
 from oed_sysid.likelihood import laws as laws_module
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.laws import Law, laws

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from vehicles import remus
 
-from oed_sysid import Experiment, design, list_problems, new_problem
+from oed_sysid import Doublet, Experiment, Input, Output, State, design, list_problems, new_problem
 from oed_sysid.design.criteria import Measure, Setting
 from oed_sysid.errors import ModelError
-from oed_sysid.experiments.manoeuvres import Doublet
 from oed_sysid.physics import (
     Actuator,
     Effect,
@@ -26,7 +25,6 @@ from oed_sysid.physics import (
     added_mass_error,
     quadratic_drag,
 )
-from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.testing import check_criterion, check_problem

@@ -12,13 +12,10 @@ from marks import slow
 from scipy.optimize import brentq
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
-from oed_sysid import Dataset, Model, Output, Parameter, Record, State
-from oed_sysid.baselines import OutputError
+from oed_sysid import Dataset, Fit, Model, Output, Parameter, Record, State, simulate_inputs
+from oed_sysid.baselines import MultipleShooting, OutputError
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.multistart import Multistart, profile
+from oed_sysid.likelihood.multistart import Multistart, _goal, profile
 from oed_sysid.results import plot_waterfall
 from oed_sysid.results.estimator_plots import plateaus
 from oed_sysid.runtime.parallel import CellProgress
@@ -88,8 +85,6 @@ def test_starts_fill_the_bounds_or_the_span() -> None:
 
 def test_priors_count_among_starts(data: Dataset) -> None:
     """A result against the prior loses to one with it, whatever its likelihood alone."""
-    from oed_sysid.likelihood.multistart import _goal
-
     fit: Fit = MultipleShooting(disturbances="none").fit(OSCILLATOR, data)
     parameter = replace(
         OSCILLATOR.parameter("omega"), prior_mean=fit.values["omega"] + 0.2, prior_std=0.1

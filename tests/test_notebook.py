@@ -10,10 +10,8 @@ import pytest
 from bs4 import BeautifulSoup
 from starter import improved, starter
 
-from oed_sysid import MultipleShooting, compare
+from oed_sysid import MultipleShooting, OedSysidError, compare, quick_check
 from oed_sysid.design import Search, Trial, design_experiment
-from oed_sysid.errors import OedSysidError
-from oed_sysid.evidence.check import quick_check
 from oed_sysid.results.page import notebook as html
 
 

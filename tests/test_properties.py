@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import string
 import tempfile
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
 
+import casadi as ca
 import hypothesis.strategies as st
 import numpy as np
 import pytest
@@ -138,8 +140,6 @@ PYTHON["where"] = lambda condition, a, b: a if condition else b
 @given(texts, st.tuples(*[floats(-2, 2)] * 3))
 def test_expressions_are_what_python_says(text: str, point: tuple[float, float, float]) -> None:
     """NumPy and CasADi give what Python's own arithmetic gives."""
-    import casadi as ca
-
     scope = dict(zip(("u", "w", "q"), point, strict=True))
     expected = float(eval(text, {"__builtins__": {}}, PYTHON | scope))
     assume(abs(expected) < 1e12)
@@ -254,8 +254,6 @@ plain = st.recursive(
 @given(plain)
 def test_archive_returns_what_it_was_given(value: object) -> None:
     """Whatever plain data is archived comes back the same, NaN, infinity and -0.0 included."""
-    import json
-
     again = decode(json.loads(json.dumps(encode(value), allow_nan=False)), ARCHIVED)
     assert repr(again) == repr(value)
 

@@ -17,20 +17,16 @@ from scipy.signal import lfilter
 from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import simulate, true_values
 from benchmarks.random_forces.trial import believed, dataset, nominal_model
-from oed_sysid import Force, Sea, improve
+from oed_sysid import Dataset, Fit, Force, Model, Record, Sea, Solver, improve, load_problem
 from oed_sysid.compiled.filtering import narrow_band
-from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
 from oed_sysid.evidence.chance import threshold as threshold_forces
 from oed_sysid.evidence.rank import Ranking, rank
 from oed_sysid.evidence.score import lines
 from oed_sysid.evidence.study import Study
-from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate as simulate_forces
 from oed_sysid.likelihood import random_forces
 from oed_sysid.likelihood.covariance import clear_peaks, spectral_peak
-from oed_sysid.likelihood.estimator import Solver
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import SHAPES, Levels, NoiseModel
@@ -40,7 +36,6 @@ from oed_sysid.likelihood.realisation import drawn_disturbances, narrow_band_for
 from oed_sysid.likelihood.score_test import Setting, moved, posed
 from oed_sysid.physics import Parameter, wave_force
 from oed_sysid.physics.channels import Channels, Input, Output, State
-from oed_sysid.physics.model import Model
 
 TRUE = {"K": 0.1, "T": 8.0}
 WHITE = np.array([5e-3, 2e-3])

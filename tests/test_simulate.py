@@ -11,17 +11,9 @@ import pytest
 from reference import reference_trajectory
 from simple_models import AUV, NOMOTO, PENDULUM, K, T
 
+from oed_sysid import Experiment, Input, Limits, Model, Output, State
 from oed_sysid.errors import DesignError, SimulationError
-from oed_sysid.experiments.experiment import Experiment, Limits
-from oed_sysid.experiments.manoeuvres import (
-    Constant,
-    Doublet,
-    Piecewise,
-    RateLimited,
-    TurningCircle,
-    ZigZag,
-    ZigZagLike,
-)
+from oed_sysid.experiments import manoeuvres as m
 from oed_sysid.experiments.simulation import (
     equilibrium,
     linearise,
@@ -29,12 +21,10 @@ from oed_sysid.experiments.simulation import (
     simulate_batch,
     simulate_inputs,
 )
-from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.model import Model
 
 DIVE = Experiment(
     "dive",
-    ZigZagLike("fin", 0.2, 0.15, rate=0.3),
+    m.ZigZagLike("fin", 0.2, 0.15, rate=0.3),
     duration=100.0,
     sample_time=0.1,
     constants={"thrust": 9.0},
@@ -86,7 +76,7 @@ def test_reference_agrees_with_memory_and_linear_inputs() -> None:
 
 def test_zigzag_reverses_on_what_is_measured() -> None:
     """Without noise each reversal is at the first sample at or beyond the switch."""
-    test = Experiment("zz", ZigZag("rudder", 0.2, 0.2), duration=120.0, sample_time=0.5)
+    test = Experiment("zz", m.ZigZag("rudder", 0.2, 0.2), duration=120.0, sample_time=0.5)
     record = simulate(NOMOTO, test, noise=False)
     rudder, psi = record.input("rudder"), record.output("psi")
     changes = np.flatnonzero(np.diff(rudder)) + 1
@@ -124,7 +114,7 @@ def test_linear_inputs_in_closed_loop() -> None:
     """A linearly interpolated rudder is decided causally and replays exactly."""
     rudder = Input("rudder", "rad", interpolation="linear")
     model = replace(NOMOTO, inputs=(rudder,))
-    zigzag = ZigZag("rudder", 0.2, 0.2, rate=0.1)
+    zigzag = m.ZigZag("rudder", 0.2, 0.2, rate=0.1)
     record = simulate(model, Experiment("zz", zigzag, duration=90.0, sample_time=0.5), noise=False)
     run = simulate_inputs(model, record.times, inputs=record.inputs)
     np.testing.assert_array_equal(run.outputs, record.outputs)
@@ -135,11 +125,11 @@ def test_feedback_on_true_signals_ignores_noise() -> None:
     """With feedback='true' noise does not move the reversals; with 'measured' it does."""
     noisy = {"psi": 0.05, "r": 1e-3}
     settings = {"duration": 120.0, "sample_time": 0.5, "noise": noisy}
-    clean = simulate(NOMOTO, Experiment("a", ZigZag("rudder", 0.2, 0.2), **settings), noise=False)
+    clean = simulate(NOMOTO, Experiment("a", m.ZigZag("rudder", 0.2, 0.2), **settings), noise=False)
     results = {
         feedback: simulate(
             NOMOTO,
-            Experiment("a", ZigZag("rudder", 0.2, 0.2), feedback=feedback, **settings),
+            Experiment("a", m.ZigZag("rudder", 0.2, 0.2), feedback=feedback, **settings),
             rng=np.random.default_rng(5),
         )
         for feedback in ("true", "measured")
@@ -150,7 +140,7 @@ def test_feedback_on_true_signals_ignores_noise() -> None:
 
 def test_noise_has_the_stated_standard_deviation() -> None:
     """Over 4000 samples the noise is as large as stated, within 4 standard errors."""
-    test = Experiment("a", Constant("rudder", 0.0), duration=400.0, noise={"r": 0.02})
+    test = Experiment("a", m.Constant("rudder", 0.0), duration=400.0, noise={"r": 0.02})
     record = simulate(NOMOTO, test, rng=np.random.default_rng(3))
     tolerance = 4 / np.sqrt(2 * record.n_samples)
     assert record.output("psi").std() == pytest.approx(0.003, rel=tolerance)
@@ -161,7 +151,7 @@ def test_noise_has_the_stated_standard_deviation() -> None:
 
 def test_noise_needs_a_generator_and_a_size() -> None:
     """Neither is guessed."""
-    test = Experiment("a", Constant("rudder", 0.0), duration=5.0)
+    test = Experiment("a", m.Constant("rudder", 0.0), duration=5.0)
     with pytest.raises(SimulationError, match="default_rng"):
         simulate(NOMOTO, test)
     unknown = replace(NOMOTO, outputs=(Output("psi", "rad"),))
@@ -173,7 +163,7 @@ def test_noise_needs_a_generator_and_a_size() -> None:
 def test_closed_loop_commands_respect_limits() -> None:
     """A zigzag larger than its limit is refused by name."""
     limits = Limits(inputs={"rudder": (-0.1, 0.1)})
-    test = Experiment("zz", ZigZag("rudder", 0.2, 0.2), duration=20.0, limits=limits)
+    test = Experiment("zz", m.ZigZag("rudder", 0.2, 0.2), duration=20.0, limits=limits)
     with pytest.raises(DesignError, match="input 'rudder' reaches"):
         simulate(NOMOTO, test, noise=False)
 
@@ -249,7 +239,7 @@ def runaway(initial: float = 1.0, rate: float = 3.0) -> tuple[Model, Experiment]
         (Output("w", "m/s", noise_std=0.1),), {"w": f"{rate}*w + fin"},
     )  # fmt: skip
     return model, Experiment(
-        "hold", Constant("fin", 0.1), duration=40.0, sample_time=0.1, initial={"w": initial}
+        "hold", m.Constant("fin", 0.1), duration=40.0, sample_time=0.1, initial={"w": initial}
     )
 
 
@@ -300,9 +290,9 @@ def test_batch_marks_divergence_and_checks_shapes() -> None:
 def test_open_loop_experiments_need_no_feedback() -> None:
     """Doublet, circle and a rate-limited command run in one go."""
     manoeuvres = (
-        Doublet("rudder", 0.1, pulse_time=5.0),
-        TurningCircle("rudder", 0.3, rate=0.05),
-        RateLimited(TurningCircle("rudder", 0.3), 0.05),
+        m.Doublet("rudder", 0.1, pulse_time=5.0),
+        m.TurningCircle("rudder", 0.3, rate=0.05),
+        m.RateLimited(m.TurningCircle("rudder", 0.3), 0.05),
     )
     for manoeuvre in manoeuvres:
         record = simulate(NOMOTO, Experiment("a", manoeuvre, duration=30.0), noise=False)
@@ -405,24 +395,24 @@ SHIP = Model(
 
 def test_times_cover_the_duration() -> None:
     """The last sample is at the duration, also where the quotient is not exact in binary."""
-    experiment = Experiment("a", Constant("rudder", 0.1), duration=0.3, sample_time=0.1)
+    experiment = Experiment("a", m.Constant("rudder", 0.1), duration=0.3, sample_time=0.1)
     assert len(experiment.times) == 4
     assert experiment.times[-1] == pytest.approx(0.3)
 
 
 def test_duration_comes_from_the_manoeuvre() -> None:
     """A doublet knows how long it takes; a zigzag does not, and the message says what to do."""
-    doublet = Experiment("a", Doublet("rudder", 0.1, pulse_time=4.0))
-    assert doublet.duration == pytest.approx(Doublet("rudder", 0.1, pulse_time=4.0).duration)
+    doublet = Experiment("a", m.Doublet("rudder", 0.1, pulse_time=4.0))
+    assert doublet.duration == pytest.approx(m.Doublet("rudder", 0.1, pulse_time=4.0).duration)
     with pytest.raises(DesignError, match="no natural end"):
-        Experiment("b", ZigZag("rudder", 0.2, 0.2))
+        Experiment("b", m.ZigZag("rudder", 0.2, 0.2))
 
 
 def test_several_manoeuvres_and_constants_become_columns() -> None:
     """Commands stand in the order of the model's inputs, whoever gives them."""
     both = Experiment(
         "both",
-        [Constant("thrust", 5.0), Piecewise("rudder", [0.0, 1.0], [0.0, 0.2])],
+        [m.Constant("thrust", 5.0), m.Piecewise("rudder", [0.0, 1.0], [0.0, 0.2])],
         duration=2.0,
         sample_time=1.0,
     )
@@ -435,7 +425,7 @@ def test_several_manoeuvres_and_constants_become_columns() -> None:
 
 def test_an_input_without_value_is_an_error() -> None:
     """No input is silently zero."""
-    experiment = Experiment("a", Constant("rudder", 0.1), duration=3.0)
+    experiment = Experiment("a", m.Constant("rudder", 0.1), duration=3.0)
     with pytest.raises(DesignError, match=r"constants=\{'thrust': value\}"):
         experiment.commands(SHIP.input_names)
     with pytest.raises(DesignError, match="thrust"):
@@ -454,7 +444,7 @@ def test_an_input_without_value_is_an_error() -> None:
 def test_settings_are_checked(settings: dict, message: str) -> None:
     """A setting that cannot be meant is named."""
     with pytest.raises(DesignError, match=message):
-        Experiment("a", TurningCircle("rudder", 0.2), **settings)
+        Experiment("a", m.TurningCircle("rudder", 0.2), **settings)
 
 
 @pytest.mark.parametrize(
@@ -471,12 +461,12 @@ def test_misfit_with_a_model_is_named(settings: dict, message: str) -> None:
     """Names that the model does not have are found before anything runs."""
     complete = {"duration": 5.0, "constants": {"thrust": 1.0}} | settings
     with pytest.raises(DesignError, match=message):
-        Experiment("a", TurningCircle("rudder", 0.2), **complete).check_model(SHIP)
+        Experiment("a", m.TurningCircle("rudder", 0.2), **complete).check_model(SHIP)
 
 
 def test_feedback_has_to_be_measurable() -> None:
     """A zigzag on a signal that is neither output nor state is refused."""
-    zigzag = ZigZag("rudder", 0.2, 0.2, feedback=("heading",))
+    zigzag = m.ZigZag("rudder", 0.2, 0.2, feedback=("heading",))
     experiment = Experiment("a", zigzag, duration=5.0, constants={"thrust": 1.0})
     with pytest.raises(DesignError, match="no output or state 'heading'"):
         experiment.check_model(SHIP)
@@ -488,14 +478,14 @@ def test_commands_beyond_a_limit_are_refused_with_its_name() -> None:
     """Amplitude, rate, constant and start are each compared with their limit."""
     limits = Limits(inputs={"rudder": (-0.3, 0.3)}, rates={"rudder": 0.1}, signals={"u": (0, 5)})
     with pytest.raises(DesignError, match=r"input 'rudder' reaches 0.4 .* above its limit of 0.3"):
-        Experiment("a", TurningCircle("rudder", 0.4, rate=0.05), duration=30.0, limits=limits)
+        Experiment("a", m.TurningCircle("rudder", 0.4, rate=0.05), duration=30.0, limits=limits)
     with pytest.raises(DesignError, match="rate of 'rudder'"):
-        Experiment("a", TurningCircle("rudder", 0.2, start=1.0), duration=30.0, limits=limits)
+        Experiment("a", m.TurningCircle("rudder", 0.2, start=1.0), duration=30.0, limits=limits)
     with pytest.raises(DesignError, match=r"input 'rudder' reaches -0\.5"):
         Experiment("a", duration=3.0, constants={"rudder": -0.5}, limits=limits)
     with pytest.raises(DesignError, match="signal 'u' reaches 6"):
         Experiment("a", duration=3.0, initial={"u": 6.0}, limits=limits)
-    slow = RateLimited(TurningCircle("rudder", 0.3), 0.1)
+    slow = m.RateLimited(m.TurningCircle("rudder", 0.3), 0.1)
     assert Experiment("a", slow, duration=30.0, limits=limits).limits is limits
 
 
@@ -512,7 +502,7 @@ def test_stored_experiment_is_the_same() -> None:
     """Through JSON and back nothing is lost."""
     experiment = Experiment(
         "a",
-        [ZigZag("rudder", 0.2, 0.1, rate=0.05), Constant("thrust", 3.0)],
+        [m.ZigZag("rudder", 0.2, 0.1, rate=0.05), m.Constant("thrust", 3.0)],
         duration=60.0,
         sample_time=0.5,
         initial={"u": 2.0},

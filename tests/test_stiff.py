@@ -10,15 +10,11 @@ import pytest
 from marks import slow
 from scipy.integrate import solve_ivp
 
+from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Record, Solver, State
 from oed_sysid.compiled.kernels import Kernel
-from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
-from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.integration import BIAS, moved, resolved, step_change
-from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics import Parameter, actuator_delay, actuator_lag, sensor_lag
-from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import TWO_SIDED_95
 
 # Robertson's kinetics: rates apart by nine decades.

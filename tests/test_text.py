@@ -8,13 +8,12 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.interpolate import RegularGridInterpolator
 
-from oed_sysid import Function
+from oed_sysid import Actuator, ExtraState, Force, Function, Input, Output, Parameter, Sensor, State
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.likelihood.archive import decode, encode
-from oed_sysid.physics import Actuator, ExtraState, Force, Parameter, Sensor
-from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.testing import check_effect
 from oed_sysid.text import expressions, notation
@@ -483,8 +482,6 @@ def drive(model: Model, n: int = 60) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 def test_bilinear_tables_agree_inside_and_outside() -> None:
     """SciPy, NumPy and CasADi agree within the grid; beyond it the end slopes continue."""
-    from scipy.interpolate import RegularGridInterpolator
-
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     text = expressions.to_casadi("f(x, y)", {"x": x, "y": y}, {"f": GRID})
     function = ca.Function("f", [x, y], [text])
