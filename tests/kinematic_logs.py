@@ -92,6 +92,19 @@ class Fault:
     size: float
     other: str = ""
 
+    def alter(self, motion: dict[str, np.ndarray], times: np.ndarray) -> None:
+        """Put the fault into a motion that is known at these times."""
+        for name in self.signals:
+            true = motion[name]
+            if self.kind == "lever":
+                motion[name] = true + self.size * motion[self.other]
+            elif self.kind == "scale":
+                motion[name] = (1.0 + self.size) * true
+            elif self.kind == "bias":
+                motion[name] = true + self.size
+            elif self.kind == "delay":
+                motion[name] = np.interp(times - self.size, times, true)
+
 
 def log(
     vehicle: Vehicle, *faults: Fault, seed: int | tuple[int, ...] = 0, colour: float = 0.0
@@ -106,17 +119,8 @@ def log(
     fine = np.arange(n) * dt
     records = []
     for number, here in enumerate([vehicle.motion(speed, n, dt, rng) for speed in SPEEDS]):
-        for fault in faults:
-            if fault.kind == "lever":
-                here[fault.signals[0]] = here[fault.signals[0]] + fault.size * here[fault.other]
-        for fault in faults:
-            for name in fault.signals:
-                if fault.kind == "scale":
-                    here[name] = (1.0 + fault.size) * here[name]
-                elif fault.kind == "bias":
-                    here[name] = here[name] + fault.size
-                elif fault.kind == "delay":
-                    here[name] = np.interp(fine - fault.size, fine, here[name])
+        for fault in sorted(faults, key=lambda one: one.kind != "lever"):  # of true rates
+            fault.alter(here, fine)
         times = fine[::FINE]
         columns = []
         for name in vehicle.model.output_names:
