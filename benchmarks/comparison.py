@@ -10,10 +10,10 @@ be stopped, resumed and enlarged; docs/comparison.md and its picture are written
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -102,7 +102,7 @@ TOLD = {
 # -- cases -----------------------------------------------------------------------------
 
 
-def run_case(problem: str, world: str, seed: int, estimators: Sequence[str]) -> Row:
+def run_case(problem: str, world: str, seed: int, *estimators: str) -> Row:
     """Run estimators on one record: a line of the store."""
     runs: Row = {}
     for name in estimators:
@@ -147,7 +147,7 @@ def merged(rows: Iterable[Row]) -> dict[tuple[str, str, int], Row]:
 
 def missing(
     problems: Sequence[str], worlds: Sequence[str], seeds: int, estimators: Sequence[str]
-) -> Iterator[tuple[Hashable, ...]]:
+) -> Iterator[tuple[Any, ...]]:
     """What is still to be run, the first seed of everything first."""
     done = merged(STORE.rows())
     for seed in range(seeds):
@@ -156,12 +156,6 @@ def missing(
                 run = done.get((problem, world, seed), {"runs": {}})["runs"]
                 if left := sorted(set(estimators) - set(run)):
                     yield problem, world, seed, *left
-
-
-def jobs(keys: Sequence[Hashable]) -> Iterator[Callable[[], Row]]:
-    """One call for each case."""
-    for problem, world, seed, *estimators in keys:  # type: ignore[misc, attr-defined]
-        yield partial(run_case, problem, world, seed, estimators)
 
 
 # -- what they say -------------------------------------------------------------------------
@@ -343,13 +337,12 @@ def main(
     for world in worlds:
         known(world, WORLDS, "world")
     if minutes:
-        keys = list(missing(problems, worlds, seeds, estimators))
+        keys = missing(problems, worlds, seeds, estimators)
         run_cases(
             STORE,
-            keys,
-            jobs,
+            {key: partial(run_case, *key) for key in keys},
             n_jobs=n_jobs,
-            deadline=time.time() + 60 * minutes,
+            minutes=minutes,
             tell=lambda row: f"{row['problem']} {row['world']} seed {row['seed']}",
         )
     write()

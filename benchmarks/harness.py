@@ -180,11 +180,11 @@ def places_of(error: BaseException) -> list[str]:
 
 def run_cases(
     store: Store,
-    keys: Sequence[Hashable],
-    jobs: Callable[[Sequence[Hashable]], Iterable[Callable[[], Row]]],
+    cases: Mapping[Any, Any],
+    jobs: Callable[[Sequence[Any]], Iterable[Callable[[], Row]]] = iter,
     *,
     n_jobs: int = 1,
-    deadline: float | None = None,
+    minutes: float = 1e9,
     tell: Callable[[Row], str] = str,
     say: Callable[[str], None] = lambda text: print(text, flush=True),
 ) -> list[Row]:
@@ -193,14 +193,14 @@ def run_cases(
     Parameters
     ----------
     store : Store
-    keys : sequence
-        Names of the cases that are wanted.
+    cases : mapping
+        What is wanted, by name: a call each.
     jobs : callable
-        From the names that are left to one call for each; may be lazy.
+        From those that are left to one call for each, where they are none themselves; may be lazy.
     n_jobs : int
         Processes.
-    deadline : float, optional
-        Time (seconds since the epoch) after which no result is waited for.
+    minutes : float
+        Time after which no result is waited for.
     tell : callable
         A finished case in one line.
     say : callable
@@ -213,9 +213,9 @@ def run_cases(
     """
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     done = store.done()
-    left = [key for key in keys if key not in done]
-    say(f"{len(keys)} cases, {len(keys) - len(left)} of them done")
-    began = time.perf_counter()
+    left = [case for key, case in cases.items() if key not in done]
+    say(f"{len(cases)} cases, {len(cases) - len(left)} of them done")
+    began, deadline = time.perf_counter(), time.time() + 60.0 * minutes
     with Parallel(n_jobs=n_jobs, return_as="generator_unordered") as workers:
         found: Iterator[Row] = workers(delayed(call)() for call in jobs(left))
         for finished, row in enumerate(found, start=1):
@@ -223,11 +223,11 @@ def run_cases(
             pace = (time.perf_counter() - began) / finished
             rest = pace * (len(left) - finished) / 60
             say(f"{finished}/{len(left)} {tell(row)} ({pace:.1f} s a case, {rest:.0f} min left)")
-            if deadline is not None and time.time() > deadline:
+            if time.time() > deadline:
                 say("out of time: the rest is left for the next run")
                 break
     done = store.done()
-    return [done[key] for key in keys if key in done]
+    return [done[key] for key in cases if key in done]
 
 
 # -- printing ------------------------------------------------------------------------

@@ -522,10 +522,7 @@ def main(
     """
     every = cases()
     for section in () if show else sections or every:
-        own = every[known(section, every, "section")]
-        run_cases(
-            STORE, list(own), lambda left, own=own: [own[str(key)] for key in left], n_jobs=jobs
-        )
+        run_cases(STORE, every[known(section, every, "section")], n_jobs=jobs)
     text = "\n".join(markdown(("what", "`python -m benchmarks.`", "of", "measured"), lines()))
     if write:
         write_page(ROOT / "docs" / "programme.md", text, "plans")

@@ -1,8 +1,7 @@
 """Hidden effects, whoever simulates: what a search claims, what could be found, how often it is.
 
-:func:`searched` runs and reads a search, :func:`settled` runs the cases of a benchmark that are
-not in its store, and :func:`as_markdown` tells its measures. A benchmark brings its cases, what
-could have been found in them (``detectable``), and the rates that it wants.
+:func:`searched` runs and reads a search, and :func:`as_markdown` tells its measures. A benchmark
+brings its cases, what could have been found in them (``detectable``), and the rates that it wants.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Row, Store, markdown, places_of, run_cases, write_page
+from benchmarks.harness import Row, markdown, places_of, write_page
 from oed_sysid import Dataset, Model, improve
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.physics import Effect
@@ -152,22 +151,6 @@ def searched(
     told["seconds"] = time.perf_counter() - began
     told["processor_seconds"] = time.process_time() - processor
     return found, told
-
-
-def settled(
-    store: Path,
-    keys: Iterable[str],
-    jobs: Callable[..., Iterable[Callable[[], Row]]],
-    *,
-    n_jobs: int = 1,
-    minutes: float = 1e9,
-    say: Callable[[str], None] = print,
-) -> list[Row]:
-    """All wanted cases that are finished, after those that are not in the store have run."""
-    deadline = time.time() + 60.0 * minutes
-    return run_cases(
-        Store(store), list(keys), jobs, n_jobs=n_jobs, deadline=deadline, tell=summary, say=say
-    )
 
 
 def detectable(gains: Iterable[float], needed: float) -> bool:

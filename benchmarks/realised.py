@@ -221,10 +221,7 @@ def main(
             plan_name = known(name, PLANS, "plan")
             wanted |= cases(plan_name, factor, swell, seed, repetitions)
     if wanted:
-        run_cases(
-            STORE, list(wanted), lambda left: [wanted[str(key)] for key in left], n_jobs=jobs,
-            tell=lambda row: row["key"],
-        )  # fmt: skip
+        run_cases(STORE, wanted, n_jobs=jobs, tell=lambda row: row["key"])
     kinds = grouped(STORE.rows(), lambda row: (row["plan"], row["forces"], row["swell"]))
     for group in kinds.values():
         print("\n".join(table(group)), flush=True)

@@ -146,9 +146,7 @@ def commands_of(design: Design) -> np.ndarray:
     return design.trajectory.inputs[rows]
 
 
-def judged(
-    problem: Problem, truth: str, rival: str, size: float, alike: tuple[str, ...]
-) -> dict[str, Any]:
+def judged(problem: Problem, truth: str, rival: str, size: float) -> dict[str, Any]:
     """One truth: the first dive, the designed one, and the ranking on both."""
     began = process_time()
     pair = (truth, rival)
@@ -215,13 +213,13 @@ def main(*, show: bool = False) -> None:
     """
     problem = load_problem("remus_diving_plane")
     wanted = {
-        (truth, rival): (problem, truth, rival, size, (a, b))
+        (truth, rival): partial(judged, problem, truth, rival, size)
         for a, b, size_a, size_b in pairs(problem)
         for truth, rival, size in ((a, b, size_a), (b, a, size_b))
     }
     if not show:
         run_cases(
-            STORE, list(wanted), lambda left: (partial(judged, *wanted[key]) for key in left),
+            STORE, wanted,
             tell=lambda row: f"{row['truth']} / {row['rival']}: {row['margin_before']:.1f} -> "
             f"{row['margin_after']:.1f}",
         )  # fmt: skip

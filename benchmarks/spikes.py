@@ -231,10 +231,8 @@ def main(
         known(kind, ("clean", *KINDS), "kind")
     keys = [(known(world, SCENARIOS, "world"), k, sets, seed) for world in worlds for k in chosen]
     kept = Store(store, key=lambda row: tuple(row["key"]))
-    rows = run_cases(
-        kept, keys, lambda left: (partial(case, *key) for key in left),  # type: ignore[misc]
-        tell=lambda row: " | ".join(map(str, cells(row))),
-    )  # fmt: skip
+    wanted = {key: partial(case, *key) for key in keys}
+    rows = run_cases(kept, wanted, tell=lambda row: " | ".join(map(str, cells(row))))
     print("\n".join(markdown(HEAD, (cells(row) for row in rows))))
 
 

@@ -27,10 +27,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, orth
 
-from benchmarks.harness import RESULTS, Row, command, grouped, tabulate
+from benchmarks.harness import RESULTS, Row, Store, command, grouped, run_cases, tabulate
 from benchmarks.other_vehicles.judge import DETECTABLE
 from benchmarks.other_vehicles.measures import accepted as named
-from benchmarks.rates import searched, settled, share
+from benchmarks.rates import searched, share, summary
 from benchmarks.truth import gauss_markov, runge_kutta
 from oed_sysid import (
     Dataset,
@@ -470,12 +470,8 @@ def main(
     minutes : float
         wait for no case after that
     """
-    rows = settled(
-        store, [f"{seed}/{number}" for number in range(cases)],
-        lambda left: (partial(judge, seed, int(key.split("/")[1]), limit) for key in left),
-        n_jobs=jobs, minutes=minutes,
-    )  # fmt: skip
-    print(table(rows))
+    wanted = {f"{seed}/{number}": partial(judge, seed, number, limit) for number in range(cases)}
+    print(table(run_cases(Store(store), wanted, n_jobs=jobs, minutes=minutes, tell=summary)))
 
 
 if __name__ == "__main__":

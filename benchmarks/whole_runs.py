@@ -16,7 +16,7 @@ with process noise and without.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 
@@ -123,10 +123,8 @@ COLUMNS = {
     "replay, geometric mean": line(
         lambda rows: _replay(rows, lambda r: float(np.exp(np.mean(np.log(r)))))
     ),
-    "within 1.1": line(lambda rows: percent([r["replay"] < 1.1 for r in rows if r.get("replay")])),
-    "within 1.25": line(
-        lambda rows: percent([r["replay"] < 1.25 for r in rows if r.get("replay")])
-    ),
+    "within 1.1": line(lambda rows: _within(rows, 1.1)),
+    "within 1.25": line(lambda rows: _within(rows, 1.25)),
     "worst": line(lambda rows: _replay(rows, lambda r: float(r.max()))),
 }
 
@@ -155,21 +153,18 @@ def main(
         where finished cases are
     """
     last = first + cases
-    numbers = {"measured": range(len(MEASURED))}
-    keys = [(kind, one) for kind in kinds for one in numbers.get(kind, range(first, last))]
-
-    def jobs(left: Sequence[tuple[str, int]]) -> Iterator[Callable[[], Row]]:
-        for kind, number in left:
+    wanted: dict[tuple[str, int], Callable[[], Row]] = {}
+    for kind in kinds:
+        for number in range(len(MEASURED)) if kind == "measured" else range(first, last):
             if kind == "measured":
                 work = partial(measured, number)
             elif "/" in kind:
                 work = partial(hidden, kind, number)
             else:
                 work = partial(disturbed, kind, number, seed, first, last)
-            yield partial(guarded, (kind, number), work)
-
+            wanted[kind, number] = partial(guarded, (kind, number), work)
     kept = Store(store, key=lambda row: tuple(row["key"]))
-    rows = run_cases(kept, keys, jobs, tell=lambda row: f"{row['key']} {row.get('said')}")  # type: ignore[arg-type]
+    rows = run_cases(kept, wanted, tell=lambda row: f"{row['key']} {row.get('said')}")
     print("\n".join(tabulate(grouped(rows, lambda row: row["key"][0]), COLUMNS)))
 
 

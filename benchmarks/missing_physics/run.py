@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import RESULTS as FOLDER
-from benchmarks.harness import Row, Store
-from benchmarks.missing_physics.cases import draws, simulate_draws
+from benchmarks.harness import Row, Store, run_cases
+from benchmarks.missing_physics.cases import Draw, draws, simulate_draws
 from benchmarks.missing_physics.judge import judge
 from benchmarks.missing_physics.measures import as_markdown, measures
-from benchmarks.rates import settled, told
+from benchmarks.rates import summary, told
 
 RESULTS = FOLDER / "missing_physics.jsonl"
 PLAN = (
@@ -43,7 +43,7 @@ def run(
     plan : str
         See :func:`benchmarks.missing_physics.cases.draws`.
     results, n_jobs, minutes, tell
-        See :func:`benchmarks.rates.settled`.
+        See :func:`benchmarks.harness.run_cases`.
 
     Returns
     -------
@@ -52,14 +52,15 @@ def run(
     """
     wanted = {draw.key: draw for draw in draws(plan)}
 
-    def jobs(left: Sequence[str]) -> Iterator[Callable[[], Row]]:
+    def jobs(left: Sequence[Draw]) -> Iterator[Callable[[], Row]]:
         """Simulated a batch at a time."""
         for first in range(0, len(left), BATCH):
-            batch = [wanted[key] for key in left[first : first + BATCH]]
+            batch = left[first : first + BATCH]
             for draw, (case, records) in zip(batch, simulate_draws(batch), strict=True):
                 yield partial(judge, draw, case, records)
 
-    return measures(settled(results, wanted, jobs, n_jobs=n_jobs, minutes=minutes, say=tell))
+    how = {"n_jobs": n_jobs, "minutes": minutes, "tell": summary, "say": tell}
+    return measures(run_cases(Store(results), wanted, jobs, **how))
 
 
 def main(

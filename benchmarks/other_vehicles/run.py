@@ -16,12 +16,12 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from benchmarks.harness import RESULTS, Row, Store
+from benchmarks.harness import RESULTS, Row, Store, run_cases
 from benchmarks.other_vehicles.cases import draws
 from benchmarks.other_vehicles.judge import judge
 from benchmarks.other_vehicles.measures import as_markdown, measures, unprepared_table
 from benchmarks.other_vehicles.truth import VEHICLES
-from benchmarks.rates import settled, told
+from benchmarks.rates import summary, told
 
 CASES = 60
 
@@ -49,24 +49,20 @@ def run(
     only : sequence of int
         Numbers of cases, where not all are wanted.
     store, n_jobs, minutes, tell
-        See :func:`benchmarks.rates.settled`.
+        See :func:`benchmarks.harness.run_cases`.
     limit : float
         Longest processor time that one improvement may take, s.
     prepared : bool
         Whether candidates are named.
     """
+    # Candidates are named unless it is said, so that cases of a store are what they were.
+    settings = {"limit": limit} | ({} if prepared else {"prepared": False})
     wanted = {
-        draw.key: draw
+        draw.key: partial(judge, draw, **settings)
         for draw in draws(vehicles, max((cases, *(number + 1 for number in only))))
         if not only or draw.number in only
     }
-    # Candidates are named unless it is said, so that cases of a store are what they were.
-    settings = {"limit": limit} | ({} if prepared else {"prepared": False})
-    return settled(
-        store, wanted,
-        lambda left: (partial(judge, wanted[key], **settings) for key in left),
-        n_jobs=n_jobs, minutes=minutes, say=tell,
-    )  # fmt: skip
+    return run_cases(Store(store), wanted, n_jobs=n_jobs, minutes=minutes, tell=summary, say=tell)
 
 
 def main(
