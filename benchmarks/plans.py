@@ -45,14 +45,14 @@ from benchmarks.harness import (
     run_cases,
     write_page,
 )
-from benchmarks.missing_physics.simulator import Case, Truth, integrate
 from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import simulate as data_sets
 from benchmarks.random_forces.trial import dataset, nominal_model
-from benchmarks.ship_hours import LEAST, MOST, PITCH
-from oed_sysid import Dataset, Experiment, Model, MultipleShooting, load_problem
+from benchmarks.ship_hours import inside
+from oed_sysid import Dataset, Experiment, Model, MultipleShooting, NoiseModel, load_problem
 from oed_sysid.baselines.fourier import FourierRegression, FourierStream
 from oed_sysid.design import (
+    Assurance,
     Budget,
     Caution,
     Knowledge,
@@ -221,25 +221,41 @@ def bias_of(key: str, name: str, variant: str | None, run: str | None) -> Row:
 # -- flown -----------------------------------------------------------------------------
 
 
-def flown(key: str, spread: float, forces: float, seed: int) -> Row:
-    """Limits stated of a run that reacts, and kept where its file flies other vehicles."""
-    problem, rng = load_problem("remus_diving_plane"), np.random.default_rng(seed)
-    model = realised.believed()
-    sea = realised.sea(model, forces)
+def planned(
+    model: Model, sea: NoiseModel, certainty: float, spread: float | None, rng: np.random.Generator
+) -> Experiment:
+    """A run that reacts, planned with caution for vehicles that are so far off what is believed."""
+    problem = load_problem("remus_diving_plane")
     pattern = problem.experiment("zigzag_10_10")
     trial = Trial(
         limits=problem.limits, duration=60.0, sample_time=0.1, constants=pattern.constants,
         initial={**pattern.initial, "z": 25.0},
     )  # fmt: skip
-    found = design_experiment(
+    return design_experiment(
         model, trial, rng=rng, search=Search(family=ZigZags()),
-        knowledge=Knowledge(noise=sea, spread=spread), caution=Caution(0.9, spread, 80, FLIGHTS),
-    )  # fmt: skip
-    run, row = found.experiment, {"key": key, "run": found.experiment.name}
+        knowledge=Knowledge(noise=sea, spread=spread),
+        caution=Caution(certainty, spread, 80, FLIGHTS),
+    ).experiment  # fmt: skip
+
+
+def stated_of(
+    model: Model, run: Experiment, sea: NoiseModel, spread: float | None, rng: np.random.Generator
+) -> Assurance:
+    """How surely a run is said to keep the limits."""
+    limits = load_problem("remus_diving_plane").limits
+    return assess_limits(
+        model, run, rng=rng, limits=limits, spread=spread, vehicles=FLIGHTS, sea=sea
+    )
+
+
+def flown(key: str, spread: float, forces: float, seed: int) -> Row:
+    """Limits stated of a run that reacts, and kept where its file flies other vehicles."""
+    model, rng = realised.believed(), np.random.default_rng(seed)
+    sea = realised.sea(model, forces)
+    run = planned(model, sea, 0.9, spread, rng)
+    row = {"key": key, "run": run.name}
     for name, one in (("closed", run), ("table", played(model, run))):
-        stated = assess_limits(
-            model, one, rng=rng, limits=problem.limits, spread=spread, vehicles=FLIGHTS, sea=sea
-        )
+        stated = stated_of(model, one, sea, spread, rng)
         vehicles = draw_models(model, spread, FLIGHTS, None, rng)
         row[f"stated {name}"] = stated.n_kept
         row[f"flown {name}"] = int(np.sum(flights(model, one, vehicles, sea, rng)))
@@ -248,26 +264,15 @@ def flown(key: str, spread: float, forces: float, seed: int) -> Row:
 
 def doubted(key: str, seed: int) -> Row:
     """Limits stated by priors of 8 %, and kept on vehicles that are 25 % off."""
-    problem, rng = load_problem("remus_diving_plane"), np.random.default_rng(seed)
-    model = realised.believed()
+    model, rng = realised.believed(), np.random.default_rng(seed)
     believing = model
     for one in model.free_parameters:
         believing = believing.with_parameter(
             replace(one, prior_mean=one.value, prior_std=0.08 * abs(one.value))
         )
     sea = realised.sea(model, 1.0)
-    pattern = problem.experiment("zigzag_10_10")
-    trial = Trial(
-        limits=problem.limits, duration=60.0, sample_time=0.1, constants=pattern.constants,
-        initial={**pattern.initial, "z": 25.0},
-    )  # fmt: skip
-    run = design_experiment(
-        believing, trial, rng=rng, search=Search(family=ZigZags()),
-        knowledge=Knowledge(noise=sea), caution=Caution(0.95, None, 80, FLIGHTS),
-    ).experiment  # fmt: skip
-    stated = assess_limits(
-        believing, run, rng=rng, limits=problem.limits, spread=None, vehicles=FLIGHTS, sea=sea
-    )
+    run = planned(believing, sea, 0.95, None, rng)
+    stated = stated_of(believing, run, sea, None, rng)
     true = [
         model.with_values({n: model.values[n] * (1.0 + 0.25 * rng.standard_normal())
                            for n in model.free_names})
@@ -301,13 +306,7 @@ def flights(
             fins.append(orders["fin_command"])
         return np.array(fins), np.full(len(laws), thrust)
 
-    n = len(vehicles)
-    truth = Truth([Case("v", dict(vehicle.values)) for vehicle in vehicles])
-    begin = np.full(n, run.initial["u"]), np.full(n, run.initial["z"])
-    kept = np.ones(n, dtype=bool)
-    for _, state in integrate(truth, begin, np.stack(forces, axis=2), command_of):
-        kept &= (np.abs(state[3]) <= PITCH) & (state[4] >= LEAST) & (state[4] <= MOST)
-    return kept
+    return inside(run, vehicles, np.stack(forces, axis=2), command_of)
 
 
 # -- starts ----------------------------------------------------------------------------

@@ -39,7 +39,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -48,7 +48,7 @@ import numpy as np
 
 from benchmarks.harness import RESULTS, Row, Store, command, ignorant, tabulate
 from benchmarks.missing_physics.simulator import Case, Truth, integrate
-from benchmarks.random_forces.scenarios import MEDIUM
+from benchmarks.realised import sea
 from oed_sysid import Experiment, Limits, Model, NoiseModel, load_problem
 from oed_sysid.design import (
     AOptimal,
@@ -109,14 +109,9 @@ def auv(durations: tuple[float, ...] | None = None) -> Task:
         )
         for thrust in THRUSTS
     )  # fmt: skip
-    white = np.array([output.noise_std for output in model.outputs])
-    sea = NoiseModel(
-        white, np.zeros_like(white), np.array(MEDIUM), force_time=2.0, outputs=model.output_names,
-        places=("force X", "force Z", "force M"),
-    )  # fmt: skip
     standard = tuple(zigzag(patterns[1], size, "fin_command", "theta") for size in (10, 20))
     name = "auv" if durations is None else "auv long"
-    return Task(name, model, patterns, problem.limits, sea, standard, durations)
+    return Task(name, model, patterns, problem.limits, sea(model, 1.0), standard, durations)
 
 
 def cautious(task: Task) -> tuple[Experiment, ...]:
@@ -147,14 +142,14 @@ def tanker() -> Task:
     problem = load_problem("online_ship")
     model = ignorant(problem.model)
     pattern = replace(problem.experiment("zigzag_10_10"), duration=600.0)
-    sea = sea_noise(model, "moderate", [pattern])
+    moderate = sea_noise(model, "moderate", [pattern])
     rate = problem.limits.rates["delta"]
     standard = tuple(zigzag(pattern, size, "delta", "psi", rate) for size in (10, 20))
     circle = replace(
         pattern, name="circle 35", feedback="true",
         manoeuvre=(TurningCircle("delta", math.radians(35.0), rate=rate),),
     )  # fmt: skip
-    return Task("tanker", model, (pattern,), problem.limits, sea, (*standard, circle))
+    return Task("tanker", model, (pattern,), problem.limits, moderate, (*standard, circle))
 
 
 TASKS = {"auv": auv, "auv long": partial(auv, (60.0, 300.0)), "tanker": tanker}
@@ -219,50 +214,43 @@ def limits_kept(
     kept = np.ones(len(vehicles), dtype=bool)
     for index, run in enumerate(runs):
         free = replace(run, limits=Limits())
-        played, forces = [], []
+        inputs = []
         for number, vehicle in enumerate(vehicles):
             rng = np.random.default_rng([seed, index, number])
             meant, planned_run = at_sea(vehicle, free, task.sea, rng=rng)
-            inputs = simulate(meant, planned_run, noise=False).inputs
-            played.append(inputs[:, :2])
-            forces.append(inputs[:, 2:])
-        values = [dict(vehicle.values) for vehicle in vehicles]
-        kept &= inside(
-            np.stack(played, axis=2), values, np.stack(forces, axis=2),
-            (run.initial["u"], run.initial["z"]),
-        )  # fmt: skip
+            inputs.append(simulate(meant, planned_run, noise=False).inputs)
+        commands, forces = np.split(np.stack(inputs, axis=2), [2], axis=1)
+        kept &= inside(run, vehicles, forces, lambda k, _, given=commands: tuple(given[k]))
     return kept
 
 
 def inside(
-    commands: np.ndarray,
-    vehicles: Sequence[Mapping[str, float]],
+    run: Experiment,
+    vehicles: Sequence[Model],
     forces: np.ndarray,
-    start: tuple[float, float],
+    command: Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]],
 ) -> np.ndarray:
     """Which vehicles keep the limits, side by side.
 
     Parameters
     ----------
-    commands : ndarray (n_times, 2, n_vehicles or 1)
-        Fin, rad, and thrust, N, held from sample to sample.
-    vehicles : sequence of mapping
-        Derivatives by name.
+    run : Experiment
+        Says where all begin.
+    vehicles : sequence of Model
     forces : ndarray (n_times, 3, n_vehicles)
         X, Z in N, M in N m, held from sample to sample.
-    start : tuple of float
-        Speed, m/s, and depth, m.
+    command : callable
+        See :func:`benchmarks.missing_physics.simulator.integrate`.
 
     Returns
     -------
     ndarray of bool (n_vehicles,)
     """
     n = len(vehicles)
-    truth = Truth([Case("v", values) for values in vehicles])
-    commands = np.broadcast_to(commands, (*commands.shape[:2], n))
-    begin = np.full(n, start[0]), np.full(n, start[1])
+    truth = Truth([Case("v", dict(vehicle.values)) for vehicle in vehicles])
+    begin = np.full(n, run.initial["u"]), np.full(n, run.initial["z"])
     kept = np.ones(n, dtype=bool)
-    for _, state in integrate(truth, begin, forces, lambda k, _: tuple(commands[k])):
+    for _, state in integrate(truth, begin, forces, command):
         pitch, depth = state[3], state[4]
         kept &= (np.abs(pitch) <= PITCH) & (depth >= LEAST) & (depth <= MOST)
     return kept
