@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import stdtrit
 
-from benchmarks.harness import ROOT, command, markdown, write_page
+from benchmarks.harness import ROOT, command, markdown, named, write_page
 from oed_sysid import Dataset, Model, MultipleShooting, Record, load_problem
 from oed_sysid.experiments.simulation import simulate_inputs
 
@@ -37,7 +37,7 @@ def whole_table() -> list[str]:
     """All records fitted together: how far the scatter between them exceeds stated errors."""
     heading, motion = load_problem("kvlcc2"), load_problem("kvlcc2", variant="mmg")
     esso = load_problem("esso_osaka")
-    zigzags = Dataset(tuple(r for r in esso.data() if r.name.startswith("zigzag")))
+    zigzags = named(esso.data(), "zigzag")
     head = ("all records together", "records", "parameters", "told", "most", "median of all")
     rows: list[Sequence[object]] = []
     for ship, model, data in (

@@ -68,6 +68,7 @@ from benchmarks.harness import (
     ignorant,
     least,
     machine,
+    named,
     scaled,
 )
 from benchmarks.truth import NAMES, NOISE, rates, runge_kutta
@@ -105,10 +106,7 @@ def vehicle() -> Model:
 def split() -> tuple[Dataset, Dataset]:
     """The problem's records for training and for tests; something is hidden in them."""
     records = load_problem("remus_diving_plane").data()
-    train, test = (
-        Dataset(tuple(r for r in records if r.name.startswith(kind))) for kind in ("train", "test")
-    )
-    return train, test
+    return named(records, "train"), named(records, "test")
 
 
 # -- trajectory, sensitivities, information ----------------------------------------------
@@ -531,6 +529,7 @@ CANDIDATES = 30
 
 def six_degrees_task() -> tuple[Model, Dataset, Dataset]:
     """The nominal model with ten drags, derivatives 10 to 30 % wrong, and both sets of records."""
+    from benchmarks.other_vehicles.judge import datasets
     from benchmarks.other_vehicles.models.auv import NOMINAL
     from benchmarks.other_vehicles.truth import VEHICLES
     from benchmarks.other_vehicles.truth.simulator import simulate
@@ -544,12 +543,7 @@ def six_degrees_task() -> tuple[Model, Dataset, Dataset]:
     wrong = rng.uniform(0.1, 0.3, len(auv.free)) * rng.choice([-1, 1], len(auv.free))
     start = {k: v * (1 + e) for (k, v), e in zip(auv.free.items(), wrong, strict=True)}
     model = model.with_values({k: v for k, v in start.items() if k in model.parameter_names})
-    found = [
-        Record(name, runs.times, runs.logged[i], runs.outputs[i], model.channels)
-        for i, name in enumerate(runs.names)
-    ]
-    n_train = len(auv.train)
-    return model, Dataset(found[:n_train]), Dataset(found[n_train:])
+    return model, *datasets(auv, runs, model)
 
 
 def six_degrees(*, search: bool = True) -> Iterator[Measured]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from benchmarks.documents import turns
 from benchmarks.documents.measured_data import ran
 from benchmarks.documents.page import Numbers, Page
+from benchmarks.harness import named
 from oed_sysid import Dataset, Fit, MultipleShooting, load_problem
 from oed_sysid.prediction.structures import StructureAverage
 from problems.kvlcc2.captive import captive_tests
@@ -122,11 +123,7 @@ def tanker() -> Numbers:
 def esso_osaka() -> Numbers:
     """Four turns of Esso Osaka from its zigzags, by the same rule."""
     data = load_problem("esso_osaka").data()
-    train, test = (
-        Dataset(tuple(run for run in data if run.name.startswith(kind)))
-        for kind in ("zigzag", "turn")
-    )
-    average, measured = turns.predicted(train, test)
+    average, measured = turns.predicted(named(data, "zigzag"), named(data, "turn"))
     rows: dict[str, dict[str, Numbers]] = {}
     for name, value in measured.items():
         quantity, run = name.split(maxsplit=1)

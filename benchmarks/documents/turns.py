@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from benchmarks.harness import named
 from oed_sysid import Dataset, Fit, MultipleShooting, Record, load_problem
 from oed_sysid.errors import DataError, SimulationError
 from oed_sysid.experiments.indices import turning_indices
@@ -131,14 +132,10 @@ def reach() -> dict[str, dict[str, dict[str, float]]]:
         Rms error of `SCORED` over the turns, per cent, by structure and by what was fitted.
     """
     data = load_problem("esso_osaka").data()
-    runs = {kind: [r for r in data if r.name.startswith(kind)] for kind in ("zigzag", "turn")}
-    purpose, measured = turns(Dataset(tuple(runs["turn"])))
+    zigzags, circles = named(data, "zigzag"), named(data, "turn")
+    purpose, measured = turns(circles)
     whole = MultipleShooting(disturbances="none")
-    sets = {
-        "zigzags": runs["zigzag"],
-        "zigzags and turns": [*runs["zigzag"], *runs["turn"]],
-        "turns": runs["turn"],
-    }
+    sets = {"zigzags": zigzags, "zigzags and turns": zigzags + circles, "turns": circles}
     families = (
         ("MAVMM, one step", MAVMM, REGRESSION),
         ("MAVMM, 10 s ahead", MAVMM, ahead(HORIZONS[0])),
@@ -150,8 +147,7 @@ def reach() -> dict[str, dict[str, dict[str, float]]]:
     found: dict[str, dict[str, dict[str, float]]] = {}
     for name, model, estimator in families:
         found[name] = {}
-        for what, chosen in sets.items():
-            fitted = Dataset(tuple(chosen))
+        for what, fitted in sets.items():
             # Searches of the polynomial begin where its regression ended.
             start = REGRESSION.fit(model, fitted).model if model is MAVMM else model
             found[name][what] = _reached(purpose(estimator.fit(start, fitted)), measured)

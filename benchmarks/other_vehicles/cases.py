@@ -99,7 +99,7 @@ class Case:
         """The true vehicle."""
         return VEHICLES[self.draw.vehicle]
 
-    def structure(self, present: Sequence[str]) -> tuple[dict[str, float], dict[str, object]]:
+    def structure(self, present: Sequence[str]) -> tuple[Sizes, Sizes]:
         """Parameters and hidden sizes of a structure with some of the hidden effects."""
         parameters, hidden = dict(self.parameters), dict(self.hidden)
         for name in self.effects:
@@ -109,7 +109,7 @@ class Case:
                         parameters[key] = 0.0
                     else:
                         hidden.pop(key)
-        return parameters, hidden  # type: ignore[return-value]
+        return parameters, hidden
 
     def gain(self, name: str) -> Gains:
         """Expected gain of one hidden effect, all others in the model."""
@@ -117,13 +117,12 @@ class Case:
         own = self.vehicle.hidden[name]
         taken = set(own.sizes) if own.lacking else set()
         estimated = [p for p in self.vehicle.free if p not in taken]
-        structure = self.structure(others)
         return gains(
             self.vehicle,
             self.runs,
             self.parameters,
             self.hidden,
-            structure,
+            self.structure(others),
             estimated,
             waves=self.waves,
             input_noise=self.input_noise,

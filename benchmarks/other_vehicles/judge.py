@@ -8,6 +8,7 @@ import numpy as np
 
 from benchmarks.other_vehicles.cases import Case, Draw, draw_case
 from benchmarks.other_vehicles.models.base import Nominal
+from benchmarks.other_vehicles.truth.simulator import Runs, Vehicle
 from benchmarks.rates import at_most, detectable, finite, searched
 from oed_sysid import Dataset, Model, MultipleShooting, Record, compare
 
@@ -26,14 +27,13 @@ def nominal(vehicle: str) -> Nominal:
     return import_module(f"benchmarks.other_vehicles.models.{vehicle}").NOMINAL
 
 
-def datasets(case: Case, model: Model) -> tuple[Dataset, Dataset]:
+def datasets(vehicle: Vehicle, runs: Runs, model: Model) -> tuple[Dataset, Dataset]:
     """Training and validation records."""
-    runs = case.runs
-    records = [
+    records = tuple(
         Record(name, runs.times, runs.logged[i], runs.outputs[i], model.channels)
         for i, name in enumerate(runs.names)
-    ]
-    n_train = len(case.vehicle.train)
+    )
+    n_train = len(vehicle.train)
     return Dataset(records[:n_train]), Dataset(records[n_train:])
 
 
@@ -67,7 +67,7 @@ def judge(draw: Draw, *, limit: float = 600.0, prepared: bool = True) -> dict[st
     """
     case = draw_case(draw)
     model = nominal_model(case)
-    train, validation = datasets(case, model)
+    train, validation = datasets(case.vehicle, case.runs, model)
     entry: dict[str, Any] = {
         "key": draw.key,
         "vehicle": draw.vehicle,

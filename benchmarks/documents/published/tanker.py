@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import io
-import runpy
 import tempfile
 import time
 from typing import Any
 
 import numpy as np
 
-from benchmarks.documents.page import ROOT, Numbers
+from benchmarks.documents.measured_data import ran
+from benchmarks.documents.page import Numbers
 from benchmarks.documents.published.papers import paper
 
 COUNTS = (30, 60, 200)  # samples after which errors are stated
@@ -85,7 +84,8 @@ def measured() -> Numbers:
         for weight, unit in ((1e8, 1.0), (script.WEIGHT, np.degrees(1.0)))
         for one in averages.values()
     ]
-    example = ran("tanker_on_line")
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):  # it leaves a picture
+        example = ran("tanker_on_line")
     gain, period, spread = example["history"][-1]
     return {
         "mean": {name: one["Cholesky"].mean(axis=0) for name, one in sound.items()},
@@ -97,13 +97,3 @@ def measured() -> Numbers:
         "on_line": [gain, period, 1.96 * spread],
         "settled": example["settled"],
     }
-
-
-def ran(example: str) -> dict[str, Any]:
-    """What the names of an example stand for after it ran; its pictures and words are left."""
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        contextlib.chdir(folder),
-        contextlib.redirect_stdout(io.StringIO()),
-    ):
-        return runpy.run_path(str(ROOT / "examples" / f"{example}.py"), run_name="__main__")

@@ -15,7 +15,6 @@ from oed_sysid import Force, Input, Model, Parameter
 
 LENGTH, DENSITY = 50.0, 1025.0
 MASS = 0.0130 * 0.5 * DENSITY * LENGTH**3
-SPIN = 0.0010 * 0.5 * DENSITY * LENGTH**5
 
 CONSTANTS = (
     known("L", LENGTH, "m", "length between perpendiculars"),
