@@ -44,7 +44,7 @@ _PATIENCE = 300_000.0  # ms
 
 
 @contextmanager
-def served(problem: str | None = PROBLEM) -> Iterator[str]:
+def served(problem: str | None) -> Iterator[str]:
     """Address of an application with an empty cache, ended afterwards."""
     with socket.socket() as free:
         free.bind(("localhost", 0))
@@ -69,6 +69,20 @@ def served(problem: str | None = PROBLEM) -> Iterator[str]:
         finally:
             run.terminate()
             run.wait(20)
+
+
+@contextmanager
+def browsed(problem: str | None, height: int) -> Iterator[tuple[Any, str]]:
+    """An empty page of the system's browser, and the address of an application for it."""
+    from playwright.sync_api import sync_playwright
+
+    browser_file = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    with served(problem) as address, sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=browser_file, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1280, "height": height})
+        page.set_default_timeout(_PATIENCE)
+        yield page, address
+        browser.close()
 
 
 # Notes the moments of the browser's own clock, in ms: the first press, and the first sign of work.
@@ -152,15 +166,9 @@ def walk(page: Any) -> Iterator[tuple[str, float, float]]:
 
 def main() -> None:
     """Measure and print a table."""
-    from playwright.sync_api import sync_playwright
-
-    browser_file = next((path for name in BROWSERS if (path := shutil.which(name))), None)
     print(machine())
     print(f"{'click':<28}{'first sign':>12}{'drawn':>10}   target {TARGET} s to the first sign")
-    with served() as address, sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=browser_file, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1280, "height": 800})
-        page.set_default_timeout(_PATIENCE)
+    with browsed(PROBLEM, 800) as (page, address):
         began = time.perf_counter()
         page.goto(address)
         page.locator(".js-plotly-plot").first.wait_for()
@@ -168,7 +176,6 @@ def main() -> None:
         for what, first, drawn in walk(page):
             met = "met" if first <= TARGET else "MISSED"
             print(f"{what:<28}{first:>10.2f} s{drawn:>8.2f} s   {met}", flush=True)
-        browser.close()
 
 
 if __name__ == "__main__":

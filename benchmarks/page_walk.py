@@ -13,7 +13,6 @@ tutorial are drawn anew (`docs/walk_*.png`). The browser is that of the system.
 from __future__ import annotations
 
 import re
-import shutil
 import tempfile
 import time
 from collections.abc import Iterator
@@ -22,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import command, machine
-from benchmarks.page_clicks import BROWSERS, served
+from benchmarks.harness import ROOT, command, machine
+from benchmarks.page_clicks import browsed
 from oed_sysid import new_problem
 from oed_sysid.experiments.problem import load_problem
 
@@ -36,7 +35,6 @@ COLUMNS = {"rudder": "Ruderlage [°]", "psi": "Kurs [°]", "r": "Drehrate [°/mi
 LOOKS = [(scheme, width) for scheme in ("light", "dark") for width in (1280, 1920)]
 # Pictures of the tutorial: the step, its file and its height, pixels.
 DOCS = {"data": 1500, "check": 900, "fit": 1000, "missing": 1060, "export": 620}
-_PATIENCE = 300_000.0  # ms
 
 
 def foreign_logs(folder: Path) -> list[Path]:
@@ -211,19 +209,8 @@ def main(*, pictures: Path | None = None, docs: bool = False) -> None:
     docs : bool
         Whether the pictures of the tutorial are drawn anew.
     """
-    from playwright.sync_api import sync_playwright
-
-    browser_file = next((path for name in BROWSERS if (path := shutil.which(name))), None)
-    tutorial = Path(__file__).parents[1] / "docs"
     print(machine())
-    with (
-        served(None) as address,
-        sync_playwright() as driver,
-        tempfile.TemporaryDirectory() as place,
-    ):
-        browser = driver.chromium.launch(executable_path=browser_file, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1280, "height": 900})
-        page.set_default_timeout(_PATIENCE)
+    with browsed(None, 900) as (page, address), tempfile.TemporaryDirectory() as place:
         logs, began = foreign_logs(Path(place)), time.perf_counter()
         page.goto(address)
         for step, said, clicks in walk(page, logs, Path(place) / "mein_schiff", Path(place) / "x"):
@@ -235,11 +222,10 @@ def main(*, pictures: Path | None = None, docs: bool = False) -> None:
                     file = pictures / f"{step}-{scheme}-{width}.png"
                     photograph(page, scheme, width, file)
             if docs and step in DOCS:
-                photograph(page, "light", 1280, tutorial / f"walk_{step}.png", DOCS[step])
+                photograph(page, "light", 1280, ROOT / "docs" / f"walk_{step}.png", DOCS[step])
             page.emulate_media(color_scheme="light")
             page.set_viewport_size({"width": 1280, "height": 900})
             began = time.perf_counter()
-        browser.close()
 
 
 if __name__ == "__main__":
