@@ -34,7 +34,6 @@ from oed_sysid import (
 from oed_sysid.design import (
     AOptimal,
     Caution,
-    Design,
     DOptimal,
     EOptimal,
     Knowledge,
@@ -86,25 +85,25 @@ class System:
 
     def limits(self, degrees: float, *, envelope: bool) -> tuple[Limits, dict[str, float]]:
         """The zigzag's own amplitude, rate and largest attitude; or those of the vehicle."""
+        if not envelope:
+            return self.vehicle, {}
         record = simulate(self.model, self.zigzag(degrees), noise=False)
         run = simulate_inputs(self.model, record.times, inputs=record.inputs, initial=self.initial)
         reach = float(np.abs(run.signal(self.attitude)).max())
-        spans = dict(self.corridor)
-        for name, (lower, upper) in spans.items():
-            # The design may use no more of the corridor than agreed, but the zigzag's share.
-            spans[name] = (
-                min(lower, float(run.signal(name).min())), max(upper, float(run.signal(name).max()))
-            )  # fmt: skip
-        if not envelope:
-            return self.vehicle, {}
-        return (
-            Limits(
-                inputs={self.control: (-radians(degrees), radians(degrees))},
-                rates={self.control: self.rate},
-                signals={self.attitude: (-reach, reach), **spans},
-            ),
-            {self.attitude: reach},
+        # The design may use no more of the corridor than agreed, but the zigzag's share.
+        spans = {
+            name: (
+                min(lower, float(run.signal(name).min())),
+                max(upper, float(run.signal(name).max())),
+            )
+            for name, (lower, upper) in self.corridor.items()
+        }
+        own = Limits(
+            inputs={self.control: (-radians(degrees), radians(degrees))},
+            rates={self.control: self.rate},
+            signals={self.attitude: (-reach, reach), **spans},
         )
+        return own, {self.attitude: reach}
 
 
 def remus() -> System:
@@ -127,10 +126,8 @@ def nps() -> System:
     model = load_problem("auv_diving_plane").model
     weak = ("X_qq_prime", "X_wq_prime", "X_ww_prime", "Z_absww_prime", "Z_wabsq_prime",
             "Z_uabsw_prime", "M_absww_prime", "M_uabsw_prime", "X_T")  # fmt: skip
-    free = [name for name in model.free_names if name not in weak]
     kept = [o for o in model.outputs if o.name in ("u", "w", "q", "theta", "z")]
     model = replace(model.fix(*(n for n in weak if n in model.free_names)), outputs=tuple(kept))
-    assert len(free) == len(model.free_names)
     return System(
         model, "delta_s", "theta", -1, radians(2.5), 120.0, 0.5,
         {"u": 1.47, "z": 100.0}, {}, {"z": (80.0, 120.0)},
@@ -194,20 +191,6 @@ def mariner() -> System:
 SYSTEMS = {"remus": remus, "nps": nps, "mariner": mariner}
 
 
-def designed(
-    system: System, degrees: float, criterion: AOptimal | DOptimal | EOptimal, *, envelope: bool
-) -> Design:
-    limits, _ = system.limits(degrees, envelope=envelope)
-    return design_experiment(
-        system.model,
-        system.trial(limits),
-        criterion=criterion,
-        rng=np.random.default_rng(1),
-        search=Search(family=Levels(60), n_workers=2),
-        knowledge=Knowledge(prior=None),
-    )
-
-
 def gains(model: Model, zigzag: Experiment, other: Experiment) -> tuple[float, float]:
     """Ratio of geometric means and of largest relative standard errors."""
     sizes = np.abs([model.values[name] for name in model.free_names])
@@ -226,9 +209,16 @@ def compare(
     envelope: bool,
 ) -> None:
     zigzag = system.zigzag(degrees)
-    _, reach = system.limits(degrees, envelope=envelope)
+    limits, reach = system.limits(degrees, envelope=envelope)
     began = time.perf_counter()
-    design = designed(system, degrees, criterion, envelope=envelope)
+    design = design_experiment(
+        system.model,
+        system.trial(limits),
+        criterion=criterion,
+        rng=np.random.default_rng(1),
+        search=Search(family=Levels(60), n_workers=2),
+        knowledge=Knowledge(prior=None),
+    )
     mean, worst = gains(system.model, zigzag, design.experiment)
     words = (
         ", ".join(f"|{k}| <= {np.degrees(v):.1f} deg" for k, v in reach.items())
@@ -339,20 +329,16 @@ def main() -> None:
     parser.add_argument("--vehicle", action="store_true", help="only within the vehicle's limits")
     parser.add_argument("--criterion", choices=list("DAE"), default="D")
     options = parser.parse_args()
-    criteria: dict[str, AOptimal | DOptimal | EOptimal]
-    criteria = {"D": DOptimal(), "A": AOptimal(), "E": EOptimal()}
-    criterion = criteria[options.criterion]
+    criterion = {"D": DOptimal(), "A": AOptimal(), "E": EOptimal()}[options.criterion]
     for name in options.systems:
         system = SYSTEMS[name]()
         for degrees in options.angles:
-            for envelope in (True, False):
-                if envelope and options.vehicle:
-                    continue
-                if not options.robust:
-                    compare(name, system, degrees, options.confirm, criterion, envelope=envelope)
             if options.robust:
                 for informed in (False, True):
                     robustness(name, system, degrees, informed=informed)
+                continue
+            for envelope in (False,) if options.vehicle else (True, False):
+                compare(name, system, degrees, options.confirm, criterion, envelope=envelope)
 
 
 if __name__ == "__main__":

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
+from benchmarks.harness import Row
 from benchmarks.missing_physics.cases import DATA, UNKNOWN_TERMS, Draw
 from benchmarks.missing_physics.simulator import TEST, TRAIN, Case, Records
 from benchmarks.rates import detectable, searched
@@ -32,42 +32,23 @@ from oed_sysid.likelihood.whole_runs import rms, whole_runs
 from oed_sysid.physics import Effect
 
 
-@dataclass(frozen=True)
-class Truth:
-    """What could be known.
-
-    Attributes
-    ----------
-    gain : float
-        Twice the log-likelihood that the true structure gains on the believed one.
-    gains : dict
-        The same for each hidden effect when all others are in the model.
-    needed : float
-        Gain that a claim needs.
-    train_error, test_error : float
-        Of the true structure, in units of the noise.
-    """
-
-    gain: float
-    gains: Mapping[str, float]
-    needed: float
-    train_error: float
-    test_error: float
-
-    @property
-    def detectable(self) -> bool:
-        """Whether every hidden effect shows."""
-        return detectable(self.gains.values(), self.needed)
-
-
 def true_structure(
     problem: Problem, train: Dataset, test: Dataset, case: Case, found: Improvement
-) -> Truth:
-    """Fit the true structure, from the nominal model's fit and from the truth."""
+) -> Row:
+    """Fit the true structure, from the nominal model's fit and from the truth: what could be known.
+
+    Returns
+    -------
+    dict
+        Twice the log-likelihood that the true structure gains on the believed one, and that each
+        hidden effect gains when all others are in the model; the gain that a claim needs, and
+        whether every effect has it; errors of the true structure, in units of the noise.
+    """
     effects = [_effect(problem, name) for name in case.effects]
     if not effects:  # the nominal structure is the true one
         error = found.base_error
-        return Truth(0.0, {}, threshold(len(problem.effects), 1), error["train"], error["test"])
+        needed = threshold(len(problem.effects), 1)
+        return _told(0.0, {}, needed, error["train"], error["test"])
     unknown = any(name in UNKNOWN_TERMS for name in case.effects)
     candidates = effects if unknown else [*problem.effects]
     study, base = Study.begin(problem.model, train, test, candidates, known_noise=False)
@@ -80,13 +61,19 @@ def true_structure(
     train_error, test_error = (
         float(np.sqrt(np.mean((study.rms(full, part) / sigma) ** 2))) for part in (train, test)
     )
-    return Truth(
-        gain=base.objective - full.objective,
-        gains=gains,
-        needed=threshold(len({effect.name for effect in (*problem.effects, *effects)}), freedom),
-        train_error=train_error,
-        test_error=test_error,
-    )
+    needed = threshold(len({effect.name for effect in (*problem.effects, *effects)}), freedom)
+    return _told(base.objective - full.objective, gains, needed, train_error, test_error)
+
+
+def _told(gain: float, gains: Row, needed: float, train_error: float, test_error: float) -> Row:
+    return {
+        "true_gain": gain,
+        "true_gains": gains,
+        "needed": needed,
+        "detectable": detectable(gains.values(), needed),
+        "true_train_error": train_error,
+        "true_test_error": test_error,
+    }
 
 
 def _fits(
@@ -183,17 +170,9 @@ def judge(draw: Draw, case: Case, records: Sequence[Records]) -> dict[str, Any]:
         return entry
     try:
         entry |= {"nominal": nominal_runs(problem.model, train, test)}
-        truth = true_structure(problem, train, test, case, found)
+        return entry | true_structure(problem, train, test, case, found)
     except Exception as error:  # a case that breaks is a result too
         return entry | {"error": f"{type(error).__name__}: {error}"}
-    return entry | {
-        "true_gain": truth.gain,
-        "true_gains": dict(truth.gains),
-        "needed": truth.needed,
-        "detectable": truth.detectable,
-        "true_train_error": truth.train_error,
-        "true_test_error": truth.test_error,
-    }
 
 
 def nominal_runs(model: Model, train: Dataset, test: Dataset) -> dict[str, Any]:
