@@ -42,11 +42,15 @@ def diving_plane() -> Model:
     )
 
 
+# Position and heading in the horizontal plane.
+PLANE = {"x": "u*cos(psi) - v*sin(psi)", "y": "u*sin(psi) + v*cos(psi)", "psi": "r"}
+
+
 def ship() -> Model:
     """Surge, sway and yaw."""
     return model(
         "ship",
-        {"psi": "r", "x": "u*cos(psi) - v*sin(psi)", "y": "u*sin(psi) + v*cos(psi)"},
+        PLANE,
         {"u": "m/s", "v": "m/s", "r": "rad/s", "psi": "rad", "x": "m", "y": "m"},
     )
 
@@ -69,14 +73,7 @@ def hidden_effect_cases() -> dict[str, tuple[Problem, Dataset]]:
 def free_running(columns: dict[str, str], rudder: str, *, wrap: bool = False) -> Model:
     """Return a ship in surge, sway and yaw as a check needs it: kinematics and names of columns."""
     units = {"x": "m", "y": "m", "psi": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}
-    kinematics = {
-        "x": "u*cos(psi) - v*sin(psi)",
-        "y": "u*sin(psi) + v*cos(psi)",
-        "psi": "r",
-        "u": "-u/T",
-        "v": "-v/T",
-        "r": "(K*delta - r)/T",
-    }
+    kinematics = PLANE | {"u": "-u/T", "v": "-v/T", "r": "(K*delta - r)/T"}
     return Model(
         "free-running model",
         states=tuple(State(name, unit) for name, unit in units.items()),

@@ -135,12 +135,13 @@ class Stranger:
         state[: len(start)] = start
         commands, states = np.zeros((SAMPLES, m)), np.zeros((SAMPLES, 2 * n))
 
-        def rates(_: float, z: np.ndarray, command: np.ndarray, push: np.ndarray) -> np.ndarray:
+        def rates(_: float, z: np.ndarray, row: int) -> np.ndarray:
+            """Commands and the sea are held over a sample."""
             v, x = z[:n], z[n : 2 * n]
-            wanted = [_actuated(command[j], partial(size, at=j)) for j in range(m)]
+            wanted = [_actuated(commands[row, j], j, size) for j in range(m)]
             lags = [size("actuator_lag", j) for j in range(m)]
             moved = [z[2 * n + j] if lags[j] else wanted[j] for j in range(m)]
-            dv = b * np.array(moved)[self.lever] - d * v - k * x + push
+            dv = b * np.array(moved)[self.lever] - d * v - k * x + sea[row]
             dv = dv + self.coupling * v[0] * np.roll(v, 1)
             for i in range(n):
                 dv[i] += size("offset", i) - size("friction", i) * np.tanh(v[i] / 0.02)
@@ -155,16 +156,13 @@ class Stranger:
             if excitation == "autopilot":
                 commands[row] -= np.sign(b[:m]) * state[:m]
             if row == 0:
-                state[2 * n :] = [_actuated(commands[0, j], partial(size, at=j)) for j in range(m)]
+                state[2 * n :] = [_actuated(commands[0, j], j, size) for j in range(m)]
             states[row] = state[: 2 * n]
             if exact:
                 span = (times[row], times[row] + self.sample)
-                state = solve_ivp(
-                    rates, span, state, args=(commands[row], sea[row]), rtol=1e-6, atol=1e-8
-                ).y[:, -1]
+                state = solve_ivp(rates, span, state, args=(row,), rtol=1e-6, atol=1e-8).y[:, -1]
             else:
-                held = partial(_held, rates, commands[row], sea[row])
-                state = runge_kutta(held, state, self.sample)
+                state = runge_kutta(lambda z, _, row=row: rates(0.0, z, row), state, self.sample)
             if not np.all(np.abs(state) < 1e3):
                 return commands, np.full((SAMPLES, 2 * n), np.nan)
         return commands, np.column_stack([self._sensed(y, i, size) for i, y in enumerate(states.T)])
@@ -182,15 +180,10 @@ class Stranger:
         return (1.0 + size("scale", i)) * y + size("bias", i)
 
 
-def _held(rates, command, push, z, _):  # type: ignore[no-untyped-def]
-    """Rates while commands are held, as a Runge-Kutta step asks for them."""
-    return rates(0.0, z, command, push)
-
-
-def _actuated(command: float, size) -> float:  # type: ignore[no-untyped-def]
+def _actuated(command: float, j: int, size) -> float:  # type: ignore[no-untyped-def]
     """What an actuator does with a command before it lags."""
-    dead, limit = size("deadband"), size("limit")
-    moved = np.sign(command) * max(abs(command) - dead, 0.0) + size("actuator_offset")
+    dead, limit = size("deadband", j), size("limit", j)
+    moved = np.sign(command) * max(abs(command) - dead, 0.0) + size("actuator_offset", j)
     return float(np.clip(moved, -1.0 / limit, 1.0 / limit) if limit else moved)
 
 

@@ -78,10 +78,11 @@ def test_a_perfect_prediction_scores_nothing() -> None:
     inputs = np.column_stack([0.3 * np.sin(times / 20), 10.0 + 0 * times, times / 100, 0 * times])
     run = simulate_inputs(model, times, inputs=inputs, initial={"u": 0.3})
     record = Record("self", times, inputs, run.outputs, model.channels)
-    assert esso_osaka.ahead(model, record) == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    errors = esso_osaka.errors(model, record)
+    assert esso_osaka.relative(errors) == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
     away = run.outputs.copy()
     away[50:, 1] += 0.029
-    ratio = esso_osaka.ahead(model, record.with_outputs(away))
+    ratio = esso_osaka.relative(esso_osaka.errors(model, record.with_outputs(away)))
     assert 0.6 < ratio[1] < 1.2
 
 

@@ -11,7 +11,6 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Protocol
 
 import numpy as np
 
@@ -21,18 +20,10 @@ SAMPLE, SUBSTEPS = 0.1, 10
 STEP = SAMPLE / SUBSTEPS
 
 
-class Amplitudes(Protocol):
-    """Where the fin's effects have their sizes from."""
-
-    def of(self, name: str) -> np.ndarray:
-        """Amplitude of an effect in every case."""
-        ...
-
-
 class Fin:
     """From fin command to fin angle: delay, dead band, play, rate limit, lag, offset, stall."""
 
-    def __init__(self, truth: Amplitudes, first: np.ndarray) -> None:
+    def __init__(self, truth: Truth, first: np.ndarray) -> None:
         self.truth = truth
         self.commands = [first]
         self.play = self._dead(first)
@@ -61,7 +52,7 @@ class Fin:
         every = np.arange(len(begin))
         return share * history[late, every] + (1 - share) * history[early, every]
 
-    def advance(self, sub: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def advance(self, sub: int) -> tuple[np.ndarray, ...]:
         """Fin angle at the start, middle and end of the next substep."""
         of = self.truth.of
         wanted = self._dead(self._delayed(sub))
@@ -76,18 +67,10 @@ class Fin:
             )
             reach = np.where(limit > 0, share * STEP * limit, np.inf)
             parts.append(begin + np.clip(toward, -reach, reach))
-        if not (np.any(lag) or np.any(limit)):
-            parts[0] = self.play
-        else:
-            held = (lag == 0) & (limit == 0)
-            parts[0] = np.where(held, self.play, begin)
+        parts[0] = np.where((lag == 0) & (limit == 0), self.play, begin)
         self.angle = parts[2]
-        offset, stall = of("fin_offset"), of("fin_stall")
-        done = []
-        for part in parts:
-            angle = part + offset
-            done.append(angle * (1 - stall * angle**2))
-        return done[0], done[1], done[2]
+        angles = np.array(parts) + of("fin_offset")
+        return tuple(angles * (1 - of("fin_stall") * angles**2))
 
 
 MASS, INERTIA, X_UDOT, Z_WDOT, Z_QDOT, M_WDOT, M_QDOT = MASSES
@@ -255,11 +238,11 @@ def simulate(
     """
     times = np.arange(round(DURATION / SAMPLE) + 1) * SAMPLE
     rows = [(case, manoeuvre) for manoeuvre in manoeuvres for case in cases]
-    streams = [np.random.default_rng([c.seed, zlib.crc32(m.name.encode())]) for c, m in rows]
-    drawn = [_forces(c, len(times), r) for (c, _), r in zip(rows, streams, strict=True)]
+    # Of each record the forces are drawn first, then the noise.
+    forces, noise = zip(*(_drawn(case, run, len(times)) for case, run in rows), strict=True)
     given = None if commands is None else commands.reshape(len(rows), len(times), 2)
-    inputs, clean = _integrated(rows, len(times), np.stack(drawn, 2), given)
-    noise = np.stack([_noise(c, len(times), r) for (c, _), r in zip(rows, streams, strict=True)])
+    inputs, clean = _integrated(rows, len(times), np.stack(forces, 2), given)
+    noise = np.stack(noise)
     n = len(cases)
     parts = [slice(i * n, (i + 1) * n) for i in range(len(manoeuvres))]
     return [Records(times, inputs[p], clean[p], clean[p] + noise[p]) for p in parts]
@@ -355,16 +338,12 @@ class _Pilot:
         return self.relay * self.amplitude + np.radians(steps)
 
 
-def _forces(case: Case, n_times: int, rng: np.random.Generator) -> np.ndarray:
-    """Random forces of one case, held between samples, shape ``(n_times, 3)``."""
-    noise = case.noise
+def _drawn(case: Case, manoeuvre: Manoeuvre, n_times: int) -> tuple[np.ndarray, np.ndarray]:
+    """Forces of one record, held from sample to sample, and noise of its sensors."""
+    rng, noise = np.random.default_rng([case.seed, zlib.crc32(manoeuvre.name.encode())]), case.noise
     memory = np.exp(-SAMPLE / noise.force_time) if noise.force_time > 0 else 0.0
-    return gauss_markov(rng.standard_normal((n_times, 3)), memory) * np.array(noise.force)
-
-
-def _noise(case: Case, n_times: int, rng: np.random.Generator) -> np.ndarray:
-    """Sensor noise of one case, shape ``(n_times, 5)``."""
-    return gauss_markov(rng.standard_normal((n_times, 5)), case.noise.colour) * NOISE
+    forces = gauss_markov(rng.standard_normal((n_times, 3)), memory) * np.array(noise.force)
+    return forces, gauss_markov(rng.standard_normal((n_times, 5)), noise.colour) * NOISE
 
 
 class Truth:
@@ -394,7 +373,7 @@ class Truth:
         self,
         state: np.ndarray,
         time: float,
-        fin: tuple[np.ndarray, np.ndarray, np.ndarray],
+        fin: Sequence[np.ndarray],
         thrust: np.ndarray,
         forces: np.ndarray,
     ) -> np.ndarray:

@@ -39,7 +39,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.peers.task import STEP, begin, load, report, share, used
+from benchmarks.peers.task import STEP, load, report, share, used
 from benchmarks.truth import NOISE, TRUE, rates, runge_kutta
 
 Solver = Callable[[], np.ndarray]
@@ -60,7 +60,7 @@ def casadi(options: dict) -> tuple[Solver, float, int]:
     """What solves, how long it took to build, s, and how often to time it."""
     import casadi as ca
 
-    times, inputs, outputs = load()
+    times, inputs, outputs, start = load()
     n = len(times)
     began = used()
     x, u, p = ca.MX.sym("x", 5), ca.MX.sym("u", 2), ca.MX.sym("p", 8)
@@ -68,7 +68,6 @@ def casadi(options: dict) -> tuple[Solver, float, int]:
     f = ca.Function("f", [x, u, p], [ca.vertcat(*slopes)])
     following = runge_kutta(lambda z, _: f(z, u, p), x, STEP)
     step = ca.Function("step", [x, u, p], [following]).expand()
-    start = begin(outputs)
     scale = np.abs(start[:8])
     shares, nodes = ca.MX.sym("shares", 8), ca.MX.sym("X", 5, n)
     ends = step.map(n - 1, "serial")(
@@ -103,9 +102,8 @@ def do_mpc_window() -> tuple[Solver, float, int]:
     import casadi as ca
     import do_mpc
 
-    _, inputs, outputs = load()
+    _, inputs, outputs, start = load()
     n = len(outputs)
-    start = begin(outputs)
     began = used()
     model = do_mpc.model.Model("discrete")
     x = model.set_variable("_x", "x", (5, 1))
@@ -188,8 +186,7 @@ def scipy_numba() -> tuple[Solver, float, int]:
     """Trust-region reflective method, unknowns scaled by the jacobian."""
     from scipy.optimize import least_squares
 
-    _, inputs, outputs = load()
-    start = begin(outputs)
+    _, inputs, outputs, start = load()
     began = time.process_time()
     residuals = compiled()
     residuals(start, inputs, outputs)
@@ -209,7 +206,7 @@ def parmest_collocation() -> tuple[Solver, float, int]:
 
     if shutil.which("ipopt") is None:
         raise ModuleNotFoundError("No program named 'ipopt'")
-    _, inputs, outputs = load()
+    _, inputs, outputs, _ = load()
     n = len(outputs)
     model = pyo.ConcreteModel()
     model.share = pyo.Var(range(8), initialize=share())
@@ -251,8 +248,8 @@ def pints_cma() -> tuple[Solver, float, int]:
     """Half the weighted sum of squares, by shares of the start values."""
     import pints
 
-    _, inputs, outputs = load()
-    start, residuals = begin(outputs), compiled()
+    _, inputs, outputs, start = load()
+    residuals = compiled()
     scale = np.where(start != 0, np.abs(start), 1.0)
 
     class Misfit(pints.ErrorMeasure):
@@ -287,8 +284,7 @@ def pypesto_amici() -> tuple[Solver, float, int]:
     import sympy
     from amici.importers.antimony import MeasurementChannel, antimony2amici
 
-    times, inputs, outputs = load()
-    start = begin(outputs)
+    times, inputs, outputs, start = load()
     began = used()
     states, unknown = sympy.symbols("u w q theta z"), sympy.symbols("k1:9")
     derivatives = [float(value) * k for value, k in zip(start[:8], unknown, strict=True)]
@@ -341,8 +337,7 @@ def optimistix_scan() -> tuple[Solver, float, int]:
     import optimistix
 
     jax.config.update("jax_enable_x64", True)
-    _, inputs, outputs = load()
-    start = begin(outputs)
+    _, inputs, outputs, start = load()
     scale = np.append(np.abs(start[:8]), NOISE)
     commands, seen = jnp.asarray(inputs), jnp.asarray(outputs)
 
@@ -382,8 +377,8 @@ def pybop_lbfgs() -> tuple[Solver, float, int]:
     """Sum of squares of a simulator of one's own, L-BFGS-B by SciPy with finite differences."""
     import pybop
 
-    _, inputs, outputs = load()
-    start, residuals = begin(outputs), compiled()
+    _, inputs, outputs, start = load()
+    residuals = compiled()
     scale = np.append(np.abs(start[:8]), NOISE)
     residuals(start, inputs, outputs)
     names = [f"k{j}" for j in range(13)]

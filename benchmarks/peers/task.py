@@ -22,21 +22,21 @@ from benchmarks.truth import TRUE
 STEP = 0.1
 
 
-def load() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times ``(n,)``, commands ``(n, 2)`` and measured outputs ``(n, 5)``."""
+def load() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Times ``(n,)``, commands ``(n, 2)``, measured outputs ``(n, 5)``, and unknowns at the start.
+
+    These are wrong derivatives, then the first measurement.
+    """
     with np.load(sys.argv[-1]) as file:
-        return file["times"], file["inputs"], file["outputs"]
+        outputs = file["outputs"]
+        start = np.concatenate([share() * TRUE, outputs[0]])
+        return file["times"], file["inputs"], outputs, start
 
 
 def share() -> float:
     """Start values as a share of the true ones."""
     with np.load(sys.argv[-1]) as file:
         return float(file["share"])
-
-
-def begin(outputs: np.ndarray) -> np.ndarray:
-    """Unknowns at the start: wrong derivatives, then the first measurement."""
-    return np.concatenate([share() * TRUE, outputs[0]])
 
 
 def used() -> float:

@@ -38,22 +38,12 @@ from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES, Scenario, Ve
 from benchmarks.random_forces.simulator import Run, Set
 
 LANES = 8
-
-
 ITERATIONS = 60
-
-
 # Largest expected fall of -log L at which the iteration ends.
 TOLERANCE = 1e-5
-
-
 # A level never falls below this share of its true one: it has vanished there.
 VANISHED = 0.01
-
-
 NOTHING = 1e-9
-
-
 LARGEST_STEP = 0.7
 
 
@@ -174,8 +164,6 @@ class Maximum:
         Minus twice the log-likelihood, without its constant.
     converged : bool
     iterations : int
-    relative_errors : dict
-        Standard errors of the logarithms of levels and times.
     """
 
     estimates: dict[str, float]
@@ -183,7 +171,6 @@ class Maximum:
     objective: float
     converged: bool
     iterations: int
-    relative_errors: dict[str, float]
 
 
 class _Problem:
@@ -302,19 +289,17 @@ def maximise(
                 break
     covariance = np.linalg.pinv(information)
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    names = list(vehicle.believed)
-    logs = dict(zip(noise.free, np.exp(unknowns[levels]), strict=True))
-    errors = dict(zip(noise.free, std[levels], strict=True))
-    estimates = dict(zip(names, unknowns[: problem.n_shared], strict=True)) | logs
-    stds = dict(zip(names, std[: problem.n_shared], strict=True))
-    stds |= {name: logs[name] * errors[name] for name in logs}
+    # Levels and times from their logarithms.
+    names = [*vehicle.believed, *noise.free]
+    estimates, errors = unknowns[: problem.n_common].copy(), std[: problem.n_common]
+    estimates[levels] = np.exp(estimates[levels])
+    errors[levels] *= estimates[levels]
     return Maximum(
-        {name: float(v) for name, v in estimates.items()},
-        {name: float(v) for name, v in stds.items()},
+        dict(zip(names, estimates.tolist(), strict=True)),
+        dict(zip(names, errors.tolist(), strict=True)),
         value,
         converged,
         iterations,
-        {name: float(v) for name, v in errors.items()},
     )
 
 
@@ -332,8 +317,6 @@ def _without_spikes(run: Run) -> Run:
 
 
 PATH = Path(__file__).with_name("reference.json")
-
-
 DIGITS = 7  # of an estimate
 
 

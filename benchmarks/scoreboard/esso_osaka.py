@@ -67,16 +67,8 @@ def learn() -> Model:
     problem = load_problem("esso_osaka")
     train, _ = problem.data().split(test=VALIDATION)
     model = problem.variant("wind").model
-    return (
-        MultipleShooting(disturbances="none", noise="given")
-        .fit(model, windows(train, FITTED))
-        .model
-    )
-
-
-def ahead(model: Model, record: Record) -> np.ndarray:
-    """Rms of u, v, r over windows of 100 s, each from its first sample, over the published."""
-    return relative(errors(model, record))
+    estimator = MultipleShooting(disturbances="none", noise="given")
+    return estimator.fit(model, windows(train, FITTED)).model
 
 
 def relative(found: np.ndarray) -> np.ndarray:
@@ -86,7 +78,7 @@ def relative(found: np.ndarray) -> np.ndarray:
 
 
 def errors(model: Model, record: Record) -> np.ndarray:
-    """Errors of u, v, r over the windows of a record, ``(n, 3)``."""
+    """Errors of u, v, r over windows of 100 s, each from its first sample, ``(n, 3)``."""
     found = []
     for part in windows(Dataset((record,)), min(AHEAD, record.duration)):
         start = dict(zip(model.state_names, part.outputs[0], strict=True))

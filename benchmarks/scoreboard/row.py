@@ -75,12 +75,6 @@ def reason(error: Exception) -> str:
     return text if len(text) <= LONGEST_REASON else text[: LONGEST_REASON - 3] + "..."
 
 
-def refused(what: str, published: str, file: str, error: Exception) -> Row:
-    """Row of a file that cannot be scored, and why."""
-    note = f"cannot be scored: {file}: {reason(error)}"
-    return Row(what, None, published, note=note, instead="cannot be scored")
-
-
 def attempted(
     what: str, published: str, file: str, score: Callable[[], Iterable[Row]]
 ) -> list[Row]:
@@ -91,7 +85,8 @@ def attempted(
     try:
         return list(score())
     except Exception as error:
-        return [refused(what, published, file, error)]
+        note = f"cannot be scored: {file}: {reason(error)}"
+        return [Row(what, None, published, note=note, instead="cannot be scored")]
 
 
 def columns(path: Path, *names: str) -> list[np.ndarray]:
