@@ -10,7 +10,6 @@ import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,49 +26,34 @@ AS_GOOD = 1.05  # error of a model over that of the true structure, up to which 
 TWO_SIDED_95 = 1.96
 
 
-@dataclass(frozen=True)
-class Rate:
-    """A share of cases with its 95 % interval and what is wanted.
-
-    Attributes
-    ----------
-    name : str
-    value : float
-    count : int
-        Cases looked at.
-    low, high : float
-        Wilson interval of the share; NaN for a number that is no share.
-    target : str
-    """
-
-    name: str
-    value: float
-    count: int
-    low: float
-    high: float
-    target: str
+def _rate(
+    name: str, value: float, count: int, target: str, low: float = np.nan, high: float = np.nan
+) -> Row:
+    """A number, of how many cases, its 95 % interval if it is a share, and what is wanted."""
+    row = {"name": name, "value": value, "count": count}
+    return row | {"low": low, "high": high, "target": target}
 
 
 def share(
     name: str, is_so: Callable[[Entry], Any], entries: Sequence[Entry], target: str = ""
-) -> Rate:
+) -> Row:
     """Share of cases of which something is so, with Wilson's interval."""
     n = len(entries)
     if n == 0:
-        return Rate(name, np.nan, 0, np.nan, np.nan, target)
+        return _rate(name, np.nan, 0, target)
     value = sum(bool(is_so(entry)) for entry in entries) / n
     z = TWO_SIDED_95
     centre = (value + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z * np.sqrt(value * (1 - value) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
     low, high = max(float(centre - half), 0.0), min(float(centre + half), 1.0)
-    return Rate(name, value, n, low, high, target)
+    return _rate(name, value, n, target, low, high)
 
 
-def number(name: str, values: Iterable[float], percent: float, target: str = "") -> Rate:
+def number(name: str, values: Iterable[float], percent: float, target: str = "") -> Row:
     """Percentile of numbers that are no share."""
     known = list(values)
     value = float(np.percentile(known, percent)) if known else np.nan
-    return Rate(name, value, len(known), np.nan, np.nan, target)
+    return _rate(name, value, len(known), target)
 
 
 def finite(value: float) -> float | str:
@@ -160,11 +144,6 @@ def detectable(gains: Iterable[float], needed: float) -> bool:
     Gains that are *expected* scatter about their expectation, and need a margin above it.
     """
     return all(gain >= needed for gain in gains)
-
-
-def plain(rates: Iterable[Rate]) -> list[dict[str, Any]]:
-    """Rates of any case as plain data."""
-    return [asdict(rate) for rate in rates if rate.count]
 
 
 def claims(entry: Entry) -> bool:

@@ -402,7 +402,8 @@ def true_verdict(row: Row) -> bool:
 def _rate(rows: Sequence[Row], is_so) -> str:  # type: ignore[no-untyped-def]
     """Cases of which something is so, and how many there are."""
     one = share("", is_so, rows)
-    return f"{round(one.value * one.count)} of {one.count}" if one.count else "-"
+    n = one["count"]
+    return f"{round(one['value'] * n)} of {n}" if n else "-"
 
 
 def _shown(rows: Sequence[Row], *what: str) -> list[Row]:

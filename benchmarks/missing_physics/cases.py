@@ -146,24 +146,18 @@ def _amplitude(name: str, rng: np.random.Generator) -> dict[str, float]:
 
 def simulate_draws(wanted: Sequence[Draw]) -> list[tuple[Case, list[Records]]]:
     """Simulate all manoeuvres of many cases; one that capsizes is drawn again."""
-    cases = [case(draw) for draw in wanted]
-    done: list[tuple[Case, list[Records]] | None] = [None] * len(cases)
-    left = list(range(len(cases)))
+    done: dict[Draw, tuple[Case, list[Records]]] = {}
+    left = list(wanted)
     for attempt in range(ATTEMPTS):
-        trial = [case(wanted[i], attempt) for i in left]
+        trial = [case(draw, attempt) for draw in left]
         records = simulate(trial, (*TRAIN, *TEST))
-        again = []
-        for row, index in enumerate(left):
+        for row, draw in enumerate(left):
             parts = [Records(r.times, r.inputs[row], r.clean[row], r.outputs[row]) for r in records]
             pitch = max(np.max(np.abs(part.clean[:, 3])) for part in parts)
             if np.isfinite(pitch) and pitch < STEEPEST:
-                done[index] = trial[row], parts
-            else:
-                again.append(index)
-        left = again
+                done[draw] = trial[row], parts
+        left = [draw for draw in wanted if draw not in done]
         if not left:
-            break
-    lost = [wanted[i].key for i in left]
-    if lost:
-        raise RuntimeError(f"No usable draw of {', '.join(lost)} in {ATTEMPTS} attempts.")
-    return [part for part in done if part is not None]
+            return [done[draw] for draw in wanted]
+    lost = ", ".join(draw.key for draw in left)
+    raise RuntimeError(f"No usable draw of {lost} in {ATTEMPTS} attempts.")

@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from benchmarks.harness import Row
 from benchmarks.missing_physics.cases import DATA
 from benchmarks.rates import (
     AS_GOOD,
     Entry,
-    Rate,
     by_effect,
     claims,
     number,
     of_kind,
-    plain,
     right_first,
     right_group,
     share,
@@ -25,14 +24,14 @@ from benchmarks.rates import as_markdown as tables
 def measures(entries: Sequence[Entry]) -> dict[str, Any]:
     """All measures of a benchmark run, as plain data.
 
-    Keys: ``rates`` (rows of :class:`benchmarks.rates.Rate`), ``by_effect``, ``failures``,
+    Keys: ``rates`` (see :func:`benchmarks.rates.share`), ``by_effect``, ``failures``,
     ``broken``.
     """
     broken = [entry for entry in entries if "error" in entry]
     sound = [entry for entry in entries if "error" not in entry]
     return {
         "n_cases": len(entries),
-        "rates": plain(_rates(sound)),
+        "rates": [rate for rate in _rates(sound) if rate["count"]],
         "by_effect": by_effect(of_kind(sound, "single", "white")),
         "failures": [_failure(entry) for entry in sound if _is_failure(entry)],
         "broken": [{"case": entry["key"], "error": entry["error"]} for entry in broken],
@@ -65,7 +64,7 @@ def as_good(entry: Entry) -> bool:
     return bool(float(entry["final_error"]["test"]) <= AS_GOOD * entry["true_test_error"])
 
 
-def _rates(entries: Sequence[Entry]) -> list[Rate]:
+def _rates(entries: Sequence[Entry]) -> list[Row]:
     single, none = of_kind(entries, "single", "white"), of_kind(entries, "none", "white")
     pair, unknown = of_kind(entries, "pair", "white"), of_kind(entries, "unknown", "white")
     shown, pairs, terms = ([e for e in k if e["detectable"]] for k in (single, pair, unknown))
@@ -105,7 +104,7 @@ def _rates(entries: Sequence[Entry]) -> list[Rate]:
     ]
 
 
-def _of_whole_runs(entries: Sequence[Entry]) -> list[Rate]:
+def _of_whole_runs(entries: Sequence[Entry]) -> list[Row]:
     """Whether whole runs of the nominal model say structure, and how well its values replay."""
     asked = [e for e in entries if e.get("nominal", {}).get("process_noise")]
     hidden = [e for e in asked if e["hidden"] != "none" and e["detectable"]]

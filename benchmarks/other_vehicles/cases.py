@@ -7,6 +7,8 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import cycle, islice
+from typing import Any
 
 import numpy as np
 
@@ -60,6 +62,11 @@ class Draw:
         noise = "declared" if self.declared else "undeclared"
         return f"{self.vehicle}/{self.number}/{self.hidden}/{self.condition}/{noise}"
 
+    @property
+    def disturbed(self) -> dict[str, Any]:
+        """Sizes of the disturbance forces and of the noise on a logged input."""
+        return {kind: float(self.condition == kind) for kind in ("waves", "input_noise")}
+
 
 @dataclass(frozen=True, eq=False)
 class Case:
@@ -78,8 +85,6 @@ class Case:
         Nominal values of the free ones.
     lacking : str or None
         Usual part that the nominal model does without.
-    waves, input_noise : float
-        Sizes of the disturbance forces and of the noise on a logged input.
     runs : Runs
         Training records first.
     """
@@ -90,8 +95,6 @@ class Case:
     parameters: Mapping[str, float]
     start: Mapping[str, float]
     lacking: str | None
-    waves: float
-    input_noise: float
     runs: Runs
 
     @property
@@ -124,8 +127,7 @@ class Case:
             self.hidden,
             self.structure(others),
             estimated,
-            waves=self.waves,
-            input_noise=self.input_noise,
+            **self.draw.disturbed,
         )
 
 
@@ -140,14 +142,12 @@ def draws(vehicles: Sequence[str], count: int) -> list[Draw]:
     >>> [draw.key for draw in draws(["motor"], 2)]
     ['motor/0/none/white/declared', 'motor/1/single/white/declared']
     """
-    unknown = [name for name in vehicles if name not in VEHICLES]
-    if unknown:
+    if unknown := [name for name in vehicles if name not in VEHICLES]:
         raise ValueError(f"Unknown vehicle {unknown[0]!r}. Use {', '.join(VEHICLES)}.")
-    found = []
-    for number in range(count):
-        hidden, condition = PATTERN[number % len(PATTERN)]
-        before = sum(PATTERN[i % len(PATTERN)] == (hidden, condition) for i in range(number))
-        found += [Draw(name, number, hidden, condition, before % 2 == 0) for name in vehicles]
+    kinds, found = list(islice(cycle(PATTERN), count)), []
+    for number, kind in enumerate(kinds):
+        declared = kinds[:number].count(kind) % 2 == 0
+        found += [Draw(name, number, *kind, declared) for name in vehicles]
     return found
 
 
@@ -190,25 +190,15 @@ def _attempt(draw: Draw, vehicle: Vehicle, attempt: int) -> Case:
         if kind.lacking:
             lacking = name
             continue
-        hidden |= {
-            key: weaker * size
-            for key, size in _sizes(kind, len(vehicle.train + vehicle.validation), rng).items()
-        }
+        sizes = _sizes(kind, len(vehicle.train + vehicle.validation), rng)
+        hidden |= {key: weaker * size for key, size in sizes.items()}
     spread = rng.uniform(-SPREAD, SPREAD, len(vehicle.free))
     free = {k: v * (1 + e) for (k, v), e in zip(vehicle.free.items(), spread, strict=True)}
     wrong = rng.uniform(*WRONG, len(free)) * rng.choice([-1.0, 1.0], len(free))
     parameters = {**vehicle.fixed, **free}
-    waves, input_noise = float(draw.condition == "waves"), float(draw.condition == "input_noise")
-    runs = simulate(
-        vehicle,
-        hidden,
-        rng=rng,
-        waves=waves,
-        input_noise=input_noise,
-        parameters=parameters,
-    )
+    runs = simulate(vehicle, hidden, rng=rng, parameters=parameters, **draw.disturbed)
     start = {k: v * (1 + e) for (k, v), e in zip(free.items(), wrong, strict=True)}
-    return Case(draw, names, hidden, parameters, start, lacking, waves, input_noise, runs)
+    return Case(draw, names, hidden, parameters, start, lacking, runs)
 
 
 def _names(draw: Draw, vehicle: Vehicle, rng: np.random.Generator) -> tuple[str, ...]:

@@ -7,18 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import grouped, tabulate
+from benchmarks.harness import Row, grouped, tabulate
 from benchmarks.rates import (
     AS_GOOD,
     LARGEST_GROUP,
     Entry,
-    Rate,
     by_effect,
     claims,
     names_of,
     number,
     of_kind,
-    plain,
     right_first,
     right_group,
     share,
@@ -32,12 +30,12 @@ RISE = 1.02  # validation error after a claim over that before, from which the t
 def measures(entries: Sequence[Entry]) -> dict[str, Any]:
     """All measures of a run, as plain data.
 
-    Keys: ``n_cases``, ``rates`` (rows of :class:`benchmarks.rates.Rate`), ``by_effect``,
+    Keys: ``n_cases``, ``rates`` (see :func:`benchmarks.rates.share`), ``by_effect``,
     ``failures``.
     """
     return {
         "n_cases": len(entries),
-        "rates": plain(_rates(entries)),
+        "rates": [rate for rate in _rates(entries) if rate["count"]],
         "by_effect": by_effect(e for e in entries if e["hidden"] == "single"),
         "failures": [_failure(entry) for entry in entries if faults(entry)],
     }
@@ -91,7 +89,7 @@ def _detectable(entries: Sequence[Entry], hidden: str = "single", *conditions: s
     return [e for e in of_kind(entries, hidden, *conditions) if e["detectable"]]
 
 
-def _rates(entries: Sequence[Entry]) -> list[Rate]:
+def _rates(entries: Sequence[Entry]) -> list[Row]:
     rates = _of_vehicle("all", entries)
     for vehicle in dict.fromkeys(entry["vehicle"] for entry in entries):
         rates += _of_vehicle(vehicle, [e for e in entries if e["vehicle"] == vehicle])
@@ -105,7 +103,7 @@ def _rates(entries: Sequence[Entry]) -> list[Rate]:
     return rates + _of_all(entries)
 
 
-def _of_vehicle(name: str, entries: Sequence[Entry]) -> list[Rate]:
+def _of_vehicle(name: str, entries: Sequence[Entry]) -> list[Row]:
     """How often the improvement is right on one vehicle."""
     seen, none = _detectable(entries), of_kind(entries, "none")
     return [
@@ -117,7 +115,7 @@ def _of_vehicle(name: str, entries: Sequence[Entry]) -> list[Rate]:
     ]
 
 
-def _of_all(entries: Sequence[Entry]) -> list[Rate]:
+def _of_all(entries: Sequence[Entry]) -> list[Row]:
     """Pairs, contradictions, errors and times over all vehicles."""
     pairs, hidden = _detectable(entries, "pair"), [e for e in entries if e["hidden"] != "none"]
     ratios = [r for r in map(ratio, entries) if not np.isnan(r)]

@@ -287,12 +287,6 @@ class Runs:
     outputs: np.ndarray
     logged: np.ndarray
 
-    def part(self, rows: slice) -> Runs:
-        """Some of the records."""
-        own = (self.commands, self.effective, self.states, self.forces)
-        more = (self.clean, self.outputs, self.logged)
-        return Runs(self.names[rows], self.times, *(a[rows] for a in (*own, *more)))
-
 
 @dataclass(frozen=True, eq=False)
 class Plant:
