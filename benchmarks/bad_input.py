@@ -44,9 +44,8 @@ def problem_message(source: str | dict[str, str | bytes]) -> str:
     """What is said about a problem folder when it is loaded; empty if nothing."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder).resolve() / "ferry"
-        for name, content in (
-            {"problem.py": source} if isinstance(source, str) else source
-        ).items():
+        files = {"problem.py": source} if isinstance(source, str) else source
+        for name, content in files.items():
             (place / name).parent.mkdir(parents=True, exist_ok=True)
             (place / name).write_bytes(content.encode() if isinstance(content, str) else content)
         try:

@@ -19,7 +19,6 @@ asked, whether the guess is right or not.
 from __future__ import annotations
 
 import tempfile
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -57,7 +56,7 @@ def ship(rng: np.random.Generator) -> tuple[np.ndarray, dict[str, np.ndarray]]:
 
     def motion(now: float, s: np.ndarray) -> list[float]:
         k = min(int(now / step), t.size - 1)
-        u, v, r, psi = s[:4] * np.array([1, 1, 1, 1])
+        u, v, r, psi = s[:4]
         du = (share[k] * speed - u) / (4.0 * unit) - 0.4 * abs(r) * abs(v)
         dv = -0.35 * u * r * 1.0 - 1.1 * u / length * v
         dr = (gain * u**2 / (length * speed) * rudder[k] - r - 6.0 * unit * r * abs(r)) / (
@@ -97,10 +96,10 @@ def diver(rng: np.random.Generator) -> tuple[np.ndarray, dict[str, np.ndarray]]:
             q * np.cos(phi) - r * np.sin(phi),
             (q * np.sin(phi) + r * np.cos(phi)) / np.cos(theta),
         ]
-        a, b, c = np.array([phi, theta, psi])
-        rx = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
-        ry = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
-        rz = np.array([[np.cos(c), -np.sin(c), 0], [np.sin(c), np.cos(c), 0], [0, 0, 1]])
+        (a, b, c), (d, e, f) = np.cos([phi, theta, psi]), np.sin([phi, theta, psi])
+        rx = np.array([[1, 0, 0], [0, a, -d], [0, d, a]])
+        ry = np.array([[b, 0, e], [0, 1, 0], [-e, 0, b]])
+        rz = np.array([[c, -f, 0], [f, c, 0], [0, 0, 1]])
         return [du, dv, dw, dp, dq, dr, *turning, *(rz @ ry @ rx @ [u, v, w])]
 
     start = [speed, *[0.0] * 7, rng.uniform(-3, 3), 0.0, 0.0, 150.0]
@@ -320,31 +319,28 @@ def examined(folder: Path, rng: np.random.Generator, number: int) -> list[tuple[
     return [(fact, verdict, f"{words}  ({log.words})") for fact, verdict, words in examine(log)]
 
 
+# What a log is counted among, by whether its columns have names.
+COLUMNS = {True: "of these, named columns", False: "of these, columns without names"}
+
+
 def run(*, logs: int = 30, seed: int = 20261127, verbose: bool = False, only: int = -1) -> None:
     """Examine so many logs."""
-    counts: Counter[tuple[str, str]] = Counter()
-    named: Counter[tuple[bool, str]] = Counter()
+    titles = ("time", "unit", "sign", "wrap", "all", *COLUMNS.values())
+    said: dict[str, list[str]] = {title: [] for title in titles}
     perfect = 0
     with tempfile.TemporaryDirectory() as folder:
         for number in range(logs) if only < 0 else [only]:
             rows = examined(Path(folder), np.random.default_rng([seed, number]), number)
             perfect += all(verdict == "right" for _, verdict, _ in rows)
             for fact, verdict, words in rows:
-                counts[fact, verdict] += 1
-                named[" none " in words, verdict] += 1
+                for title in (fact, "all", COLUMNS[" none " not in words]):
+                    said[title].append(verdict)
                 if verdict == "wrong" or verbose:
                     print(f"log {number}: {fact} {verdict}: {words}")
-    facts = ("time", "unit", "sign", "wrap")
     verdicts = ("right", "asked", "wrong")
-    lines = [[fact, *(counts[fact, v] for v in verdicts)] for fact in facts]
-    lines.append(["all", *(sum(counts[f, v] for f in facts) for v in verdicts)])
-    lines.append(["of these, named columns", *(named[False, v] for v in verdicts)])
-    lines.append(["of these, columns without names", *(named[True, v] for v in verdicts)])
-    whole = sum(counts.values())
-    shares = [sum(counts[f, v] for f in facts) / whole for v in verdicts]
-    print(
-        "\n".join(markdown(["fact", *verdicts], [[str(cell) for cell in line] for line in lines]))
-    )
+    lines = [(title, *map(own.count, verdicts)) for title, own in said.items()]
+    shares = [said["all"].count(verdict) / len(said["all"]) for verdict in verdicts]
+    print("\n".join(markdown(["fact", *verdicts], lines)))
     print(f"{logs} logs: right {shares[0]:.1%}, asked {shares[1]:.1%}, wrong {shares[2]:.1%}; "
           f"{perfect} logs without a question or a mistake")  # fmt: skip
 

@@ -356,9 +356,12 @@ def written(
     return Dataset(tuple(records))
 
 
-def judged(craft: Craft, data: Dataset, spoil: Spoil) -> tuple[bool, bool, bool, str]:
+def judged(craft: Craft, seed: int, spoil: Spoil, size: float) -> tuple[bool, bool, bool, str]:
     """Whether the fault comes first, is named at all, or anything is suspect; and what was said."""
-    found = check(data, craft.model, inputs=False)
+    try:
+        found = check(written(craft, seed, spoil, size), craft.model, inputs=False)
+    except OedSysidError as error:  # refused with the line to write
+        return True, True, True, type(error).__name__
     kinds = {spoil.kind} | {"clock": {"rate"}, "burst": {"spikes"}, "drift": {"bias"}}.get(
         spoil.kind, set()
     )
@@ -384,18 +387,13 @@ def faults(seeds: range, only: str = "", crafts: Sequence[Craft] = ()) -> list[R
     for craft in crafts or CRAFT:
         for spoil in faults_of(craft):
             for place, size in enumerate(spoil.sizes) if only in spoil.kind else ():
-                row = {"vehicle": craft.name, "kind": spoil.kind, "signals": list(spoil.signals),
-                       "size": size, "place": place, "of": 0, "first": 0, "named": 0, "suspect": 0,
-                       "missed": ""}  # fmt: skip
-                for seed in seeds:
-                    try:
-                        found = judged(craft, written(craft, seed, spoil, size), spoil)
-                    except OedSysidError as error:  # refused with the line to write
-                        found = (True, True, True, type(error).__name__)
-                    row["of"] += 1
-                    for key, value in zip(("first", "named", "suspect"), found, strict=False):
-                        row[key] += bool(value)
-                    row["missed"] = row["missed"] if found[0] else found[3]
+                found = [judged(craft, seed, spoil, size) for seed in seeds]
+                row: Row = {"vehicle": craft.name, "kind": spoil.kind,
+                            "signals": list(spoil.signals), "size": size, "place": place,
+                            "of": len(found)}  # fmt: skip
+                for at, key in enumerate(("first", "named", "suspect")):
+                    row[key] = sum(one[at] for one in found)
+                row["missed"] = ["", *(said for first, *_, said in found if not first)][-1]
                 rows.append(row)
                 print(
                     f"{craft.name:12} {spoil.kind:12} {','.join(spoil.signals):9} {size:8.3g}  "

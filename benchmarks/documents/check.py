@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
 
 from benchmarks.documents.page import Numbers, Page
+from benchmarks.harness import grouped
 from benchmarks.spoilt_logs import as_they_are, clean, copies, faults, inputs
 
 SEED = 11000
@@ -16,24 +18,19 @@ COUNTED = ("first", "named", "suspect", "of")
 def found() -> Numbers:
     """Faults by kind and by place among their sizes, both vehicles together."""
     rows = faults(range(SEED, SEED + FAULTS))
-    kinds = dict.fromkeys(row["kind"] for row in rows)
     return {
         "seeds": FAULTS,
         "first_seed": SEED,
         "total": _counted(rows),
         "vehicles": {
-            name: _counted([row for row in rows if row["vehicle"] == name])
-            for name in dict.fromkeys(row["vehicle"] for row in rows)
+            name: _counted(own) for name, own in grouped(rows, itemgetter("vehicle")).items()
         },
         "kinds": {
             kind: {
-                "all": _counted([row for row in rows if row["kind"] == kind]),
-                "sizes": [
-                    _counted([r for r in rows if r["kind"] == kind and r["place"] == place])
-                    for place in range(3)
-                ],
+                "all": _counted(own),
+                "sizes": [_counted([r for r in own if r["place"] == place]) for place in range(3)],
             }
-            for kind in kinds
+            for kind, own in grouped(rows, itemgetter("kind")).items()
         },
         "missed": [
             {key: row[key] for key in ("vehicle", "kind", "signals", "size", "suspect", "missed")}

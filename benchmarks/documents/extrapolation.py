@@ -80,16 +80,9 @@ def captive() -> Numbers:
 
 def _averaged(average: StructureAverage) -> list[Numbers]:
     """The structures of an average, heaviest first."""
+    names = ("name", "weight", "step", "forces", "drift", "values", "note")
     return [
-        {
-            "name": one.name,
-            "weight": one.weight,
-            "step": one.step,
-            "forces": one.forces,
-            "drift": one.drift,
-            "values": dict(one.values),
-            "note": one.note,
-        }
+        {name: getattr(one, name) for name in names} | {"values": dict(one.values)}
         for one in average.structures
     ]
 
