@@ -336,7 +336,9 @@ def command(main: Callable[..., Any], arguments: Sequence[str] | None = None) ->
         if several:
             options["nargs"] = several
         parser.add_argument(name, **options)
-    return main(**_split(vars(parser.parse_args(arguments)), known))
+    values = vars(parser.parse_args(arguments))
+    # An empty list of arguments is the default.
+    return main(**{n.name: n.default if values[n.name] == [] else values[n.name] for n in known})
 
 
 def _kind(annotation: Any) -> tuple[type, str]:
@@ -346,11 +348,6 @@ def _kind(annotation: Any) -> tuple[type, str]:
     if get_origin(annotation) is None:
         return annotation, ""
     return get_args(annotation)[0], "*"
-
-
-def _split(values: Mapping[str, Any], known: Iterable[inspect.Parameter]) -> dict[str, Any]:
-    """Values by name; an empty list of arguments is the default."""
-    return {one.name: one.default if values[one.name] == [] else values[one.name] for one in known}
 
 
 def _said(text: str) -> Iterator[tuple[str, str]]:

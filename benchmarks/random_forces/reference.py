@@ -160,17 +160,12 @@ class Maximum:
     ----------
     estimates, std_errors : dict
         Of shared parameters, and of levels and times.
-    objective : float
-        Minus twice the log-likelihood, without its constant.
     converged : bool
-    iterations : int
     """
 
     estimates: dict[str, float]
     std_errors: dict[str, float]
-    objective: float
     converged: bool
-    iterations: int
 
 
 class _Problem:
@@ -259,9 +254,7 @@ def maximise(
     highest = np.where(is_log & ~is_level, unknowns + 3.0, np.inf)
     value, damping, converged = problem.objective(unknowns), 0.0, False
     gradient, information = problem.derivatives(unknowns)
-    iterations = 0
-    while iterations < ITERATIONS:
-        iterations += 1
+    for _ in range(ITERATIONS):
         held = (unknowns <= lowest) & (gradient > 0) | (unknowns >= highest) & (gradient < 0)
         free = np.flatnonzero(~held)
         scale = np.sqrt(np.diag(information)[free])
@@ -274,19 +267,14 @@ def maximise(
         proposed = np.clip(unknowns + move, lowest, highest)
         expected = -float(gradient @ (proposed - unknowns))
         new = problem.objective(proposed)
+        converged = expected < TOLERANCE
         if new <= value + 1e-7:
             unknowns, value, damping = proposed, new, 0.1 * damping if damping > 1e-6 else 0.0
             gradient, information = problem.derivatives(unknowns)
-            if expected < TOLERANCE:
-                converged = True
-                break
         else:
-            if expected < TOLERANCE:
-                converged = True
-                break
             damping = max(1e-3, 10.0 * damping)
-            if damping > 1e8:
-                break
+        if converged or damping > 1e8:
+            break
     covariance = np.linalg.pinv(information)
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     # Levels and times from their logarithms.
@@ -297,9 +285,7 @@ def maximise(
     return Maximum(
         dict(zip(names, estimates.tolist(), strict=True)),
         dict(zip(names, errors.tolist(), strict=True)),
-        value,
         converged,
-        iterations,
     )
 
 

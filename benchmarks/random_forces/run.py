@@ -53,7 +53,14 @@ def run(
     """
     entries = cache.load()
     told = {k: repr(v) for k, v in (settings or {}).items()}
-    results, single = [], _kept(json_file, seed, told)
+    results, single = list[dict[str, Any]](), _kept(json_file, seed, told)
+
+    def keep() -> None:
+        """Write what is there so far, whole or not at all."""
+        if json_file is not None:
+            content = {"seed": seed, "settings": told, "scenarios": results, "fits": single}
+            write_text(json_file, plain.dumps(content, indent=1))
+
     for name in names:
         scenario = SCENARIOS[name]
         began = time.perf_counter()
@@ -63,7 +70,7 @@ def run(
             if one.number not in kept:
                 kept[one.number] = outcome(scenario, one, settings or {})
                 single[name] = [asdict(each) for each in kept.values()]
-                _write(json_file, seed, told, results, single)
+                keep()
         outcomes = [kept[one.number] for one in data]
         results.append(measure(scenario, outcomes, cache.known(entries, scenario, seed, data)))
         last = results[-1]
@@ -71,7 +78,7 @@ def run(
             f"{name}: coverage {last['coverage']:.1f} %, z {last['z']:.2f}, flagged "
             f"{last['flagged']:.0f} % ({time.perf_counter() - began:.0f} s)"
         )
-        _write(json_file, seed, told, results, single)
+        keep()
     return results
 
 
@@ -82,20 +89,6 @@ def _kept(json_file: Path | None, seed: int, settings: Mapping[str, str]) -> dic
     earlier = plain.loads(json_file.read_text(encoding="utf-8"))
     same = earlier["seed"] == seed and earlier["settings"] == settings
     return dict(earlier["fits"]) if same else {}
-
-
-def _write(
-    json_file: Path | None,
-    seed: int,
-    settings: Mapping[str, str],
-    results: Sequence[Mapping[str, Any]],
-    fits: Mapping[str, Any],
-) -> None:
-    """Write what is there so far, whole or not at all."""
-    if json_file is None:
-        return
-    content = {"seed": seed, "settings": settings, "scenarios": results, "fits": fits}
-    write_text(json_file, plain.dumps(content, indent=1))
 
 
 def tell(text: str) -> None:

@@ -174,25 +174,25 @@ class _Column:
     ) -> None:
         vehicle = VEHICLES[scenario.vehicle]
         self.manoeuvre, self.truth = manoeuvre, truth
-        self.n = _n_times(vehicle, manoeuvre)
+        self.n = round((manoeuvre.duration or vehicle.duration) / vehicle.sample_time) + 1
         force, noise, spike, fin, zero = (
             stream(seed, number, manoeuvre.name, part)
             for part in ("force", "noise", "spikes", "fin", "zero")
         )
         h = vehicle.sample_time / vehicle.substeps
-        draws = force.standard_normal(((self.n - 1) * vehicle.substeps + 1, len(vehicle.forces)))
+        n_forces = len(vehicle.forces)
+        draws = force.standard_normal(((self.n - 1) * vehicle.substeps + 1, n_forces))
         memory = np.exp(-h / scenario.force_time)
         self.force = np.array(scenario.force) * gauss_markov(draws, memory)
         if scenario.swell:
-            waves = stream(seed, number, manoeuvre.name, "swell")
-            sea = swell(waves, len(draws), h / scenario.swell, len(scenario.force))
-            if scenario.wind_sea:
-                waves = stream(seed, number, manoeuvre.name, "wind sea")
-                second = swell(waves, len(draws), h / scenario.wind_sea, len(scenario.force))
-                sea = (sea + second) / np.sqrt(2.0)
-            self.force = np.array(scenario.force) * sea
+            seas = [
+                swell(stream(seed, number, manoeuvre.name, name), len(draws), h / period, n_forces)
+                for name, period in (("swell", scenario.swell), ("wind sea", scenario.wind_sea))
+                if period
+            ]
+            self.force = np.array(scenario.force) * (sum(seas) / np.sqrt(len(seas)))
         waves = stream(seed, number, manoeuvre.name, "crests")
-        self.phase = waves.uniform(0.0, 2.0 * np.pi, (len(scenario.force), len(FREQUENCIES)))
+        self.phase = waves.uniform(0.0, 2.0 * np.pi, (n_forces, len(FREQUENCIES)))
         white = noise.standard_normal((self.n, len(vehicle.states)))
         if scenario.colour:
             column = scenario.coloured
@@ -214,10 +214,6 @@ class _Column:
             name: float(std * draw)
             for (name, std), draw in zip(vehicle.local.items(), zeros, strict=True)
         }
-
-
-def _n_times(vehicle: Vehicle, manoeuvre: Manoeuvre) -> int:
-    return round((manoeuvre.duration or vehicle.duration) / vehicle.sample_time) + 1
 
 
 def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
