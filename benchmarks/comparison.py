@@ -199,15 +199,11 @@ def ratios(rows: Sequence[Row], world: str, name: str) -> dict[str, float]:
 
 def summary(rows: Sequence[Row], worlds: Sequence[str], estimators: Sequence[str]) -> np.ndarray:
     """Geometric means of the ratios over the problems, ``(n_estimators, n_worlds)``."""
-    return np.array(
-        [
-            [
-                np.exp(np.mean(np.log(list(found.values())))) if found else np.nan
-                for found in (ratios(rows, world, name) for world in worlds)
-            ]
-            for name in estimators
-        ]
-    )
+    means = []
+    for name in estimators:
+        found = (np.array([*ratios(rows, world, name).values()]) for world in worlds)
+        means.append([np.exp(np.mean(np.log(own))) if len(own) else np.nan for own in found])
+    return np.array(means)
 
 
 def headline(rows: Sequence[Row]) -> list[str]:
@@ -256,19 +252,12 @@ def per_system(rows: Sequence[Row], problem: str) -> list[str]:
             shown.append(_cell(runs))
         if any(shown):
             lines.append((title, *shown))
-    bounds = [
-        "{:.3g}".format(
-            100 * np.median([row["bound"] for row in own if row["world"] == world] or [np.nan])
-        )
-        for world in ACTING
-    ]
-    lines.append(("*least possible on average*", *bounds))
+    bounds = [[row["bound"] for row in own if row["world"] == world] for world in ACTING]
+    least = (f"{100 * np.median(one or [np.nan]):.3g}" for one in bounds)
+    lines.append(("*least possible on average*", *least))
     table = markdown(("estimator", *ACTING.values()), lines)
-    return [
-        *table,
-        "",
-        *(f"- {', '.join(dict.fromkeys(who))}: {why}." for why, who in reasons.items()),
-    ]
+    whys = (f"- {', '.join(dict.fromkeys(who))}: {why}." for why, who in reasons.items())
+    return [*table, "", *whys]
 
 
 def _cell(runs: list[list[float]] | str | None) -> str:
@@ -287,15 +276,13 @@ def tables(rows: Sequence[Row]) -> str:
     """Everything that the page says of the store."""
     lines = [*headline(rows), "", *per_world(rows), ""]
     for problem, title in SYSTEMS.items():
-        seeds = [row["seed"] for row in rows if row["problem"] == problem]
-        n_known, n_all = next(
-            (row["determined"] for row in rows if row["problem"] == problem), (0, 0)
-        )
+        own = [row for row in rows if row["problem"] == problem]
+        n_known, n_all = own[0]["determined"] if own else (0, 0)
+        seeds = len({row["seed"] for row in own})
         lines += [
             f"### {title}",
             "",
-            f"`{problem}`: {len(set(seeds))} seeds; the data determine {n_known} of {n_all} "
-            "parameters.",
+            f"`{problem}`: {seeds} seeds; the data determine {n_known} of {n_all} parameters.",
             "",
             *per_system(rows, problem),
             "",

@@ -17,6 +17,7 @@ whose signatures are most alike, both of which show there at a size at which the
 from __future__ import annotations
 
 import zlib
+from collections import Counter
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -76,14 +77,12 @@ def pairs(problem: Problem) -> list[tuple[str, str, float, float]]:
         sizes = [min(LARGEST, float(np.sqrt(ALIKE / (left * alone[k])))) for k in (i, j)]
         if min(sizes[0] ** 2 * alone[i], sizes[1] ** 2 * alone[j]) >= SHOWN:
             rows.append((left, i, j, *sizes))
-    rows.sort()
     chosen: list[tuple[str, str, float, float]] = []
-    used: dict[int, int] = {}
-    for _, i, j, first_size, second_size in rows:
-        names = shifts.names[i], shifts.names[j]
-        if max(used.get(i, 0), used.get(j, 0)) < MOST_EACH and len(chosen) < N_PAIRS:
-            chosen.append((*names, first_size, second_size))
-            used[i], used[j] = used.get(i, 0) + 1, used.get(j, 0) + 1
+    used = Counter[int]()
+    for _, i, j, *both in sorted(rows):
+        if max(used[i], used[j]) < MOST_EACH and len(chosen) < N_PAIRS:
+            chosen.append((shifts.names[i], shifts.names[j], *both))
+            used.update((i, j))
     return chosen
 
 
@@ -117,10 +116,7 @@ def designed(
     refits = {refit.name: refit.fit.values for refit in ranking.refits}
     # One structure with all candidates, compiled once: only values differ.
     wide = problem.model + [effect.absent() for effect in problem.effects]
-    rivals = [
-        replace(wide.with_values({n: v for n, v in refits[name].items()}), name=name)
-        for name in pair
-    ]
+    rivals = [replace(wide.with_values(dict(refits[name])), name=name) for name in pair]
     fit = study.result(base, "first dive")
     speed = float(np.sqrt(9.0 / 3.9))
     return design_experiment(

@@ -52,7 +52,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +85,6 @@ from oed_sysid import (
     read_csv,
 )
 from oed_sysid.compiled import graph as graphs
-from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.compiled.kernels import kernel as compiled
 from oed_sysid.evidence.study import Study, fitting_candidates
 from oed_sysid.experiments.simulation import simulate_inputs
@@ -112,29 +111,20 @@ def split() -> tuple[Dataset, Dataset]:
 # -- trajectory, sensitivities, information ----------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
 class Task:
-    """One record to simulate with sensitivities; the outputs of this model are its states."""
+    """One record to simulate with sensitivities to twelve parameters and the start state.
 
-    model: Model
-    kernel: Kernel
-    times: np.ndarray
-    inputs: np.ndarray
-    start: np.ndarray
+    The outputs of this model are its states; ``free`` are the positions of its free parameters.
+    """
 
-    @classmethod
-    def usual(cls) -> Task:
-        """Twelve parameters, 2,400 samples."""
-        model = vehicle().free(*EXTRA)
-        times = np.arange(N_SAMPLES) * STEP
-        fin = 0.1 * np.sign(np.sin(0.5 * times)) + 0.05 * np.sin(1.3 * times)
-        inputs = np.column_stack([fin, np.full(N_SAMPLES, 9.0)])
-        return cls(model, compiled(model), times, inputs, np.array([1.5, 0.0, 0.0, 0.0, 10.0]))
-
-    @property
-    def free(self) -> list[int]:
-        """Positions of the free parameters."""
-        return [self.model.parameter_names.index(name) for name in self.model.free_names]
+    def __init__(self) -> None:
+        self.model = vehicle().free(*EXTRA)
+        self.kernel = compiled(self.model)
+        self.times = np.arange(N_SAMPLES) * STEP
+        fin = 0.1 * np.sign(np.sin(0.5 * self.times)) + 0.05 * np.sin(1.3 * self.times)
+        self.inputs = np.column_stack([fin, np.full(N_SAMPLES, 9.0)])
+        self.start = np.array([1.5, 0.0, 0.0, 0.0, 10.0])
+        self.free = [self.model.parameter_names.index(name) for name in self.model.free_names]
 
     def run(self) -> np.ndarray:
         """Sensitivities ``(n_times, n_outputs, n_columns)`` from our kernel."""
@@ -143,11 +133,13 @@ class Task:
         assert run.output_sensitivities is not None
         return run.output_sensitivities
 
-    def by_manual(self) -> ca.Function:
+    def by_manual(self) -> tuple[ca.Function, float]:
         """``mapaccum`` of an expanded step over the record, and the jacobian of all outputs.
 
-        CasADi 3.x user guide, sections on map and mapaccum and on differentiation.
+        CasADi 3.x user guide, sections on map and mapaccum and on differentiation. The time that
+        building it takes on the clock, s, comes with it.
         """
+        began = time.perf_counter()
         graph, values, n = graphs.build(self.model), self.model.value_vector, len(self.start)
         z0, unknown = ca.MX.sym("z0", n), ca.MX.sym("p", len(self.free))
         parameters = ca.MX(values)
@@ -160,7 +152,7 @@ class Task:
         )
         outputs = ca.vec(ca.horzcat(z0, path))
         jacobian = ca.jacobian(outputs, ca.vertcat(z0, unknown))
-        return ca.Function("J", [z0, unknown], [outputs, jacobian])
+        return ca.Function("J", [z0, unknown], [outputs, jacobian]), time.perf_counter() - began
 
     def bare(self, program: Path, folder: Path) -> tuple[float, float]:
         """Least time of a call from C, s, and the sum of all sensitivities."""
@@ -178,11 +170,9 @@ class Task:
 
 def kernel() -> Iterator[Measured]:
     """Ours over the bare loop, CasADi over ours."""
-    job = Task.usual()
+    job = Task()
     free = [job.model.values[name] for name in job.model.free_names]
-    began = time.perf_counter()
-    manual = job.by_manual()
-    built = time.perf_counter() - began
+    manual, built = job.by_manual()
     ours = job.run()
     theirs = np.array(manual(job.start, free)[1]).reshape(ours.shape)
     difference = float(np.max(np.abs(ours - theirs) / np.abs(ours).max(axis=(0, 1))))
@@ -209,7 +199,7 @@ def kernel() -> Iterator[Measured]:
 
 def information() -> Iterator[Measured]:
     """Accuracy of sensitivities and information by several ways, and their times."""
-    job = Task.usual()
+    job = Task()
     model, values, sigma = job.model, job.model.value_vector, noise_of(job.model)
     seen = np.ones((N_SAMPLES, 5), dtype=bool)
     play = Play("benchmark", job.times, job.inputs, job.start, seen)
@@ -238,9 +228,7 @@ def information() -> Iterator[Measured]:
     central = eighth | {-k: -w for k, w in eighth.items()}
     print(f"{model.name}: {len(job.free)} free parameters")
     exact = respond(model, play).jacobian
-    began = time.perf_counter()
-    manual = job.by_manual()
-    build = time.perf_counter() - began
+    manual, build = job.by_manual()
 
     def by_casadi() -> np.ndarray:
         return np.array(manual(point[:5], point[5:])[1]).reshape(N_SAMPLES, 5, -1)
@@ -265,10 +253,8 @@ def information() -> Iterator[Measured]:
         "one-sided differences": lambda: factor_of(differences(1e-7, {1: 1.0, 0: -1.0})),
         "CasADi jacobian": lambda: factor_of(by_casadi()),
     }
-    ours, least_ratios = (
-        least(ways["ours"], 25),
-        {"one-sided differences": 3.0, "CasADi jacobian": 30.0},
-    )
+    ours = least(ways["ours"], 25)
+    least_ratios = {"one-sided differences": 3.0, "CasADi jacobian": 30.0}
     for words, way in ways.items():
         found, taken = way(), least(way, 25)
         error = np.max(np.abs(found.T @ found - matrix) / unit)

@@ -20,19 +20,17 @@ Every trial is kept in benchmarks/results/stopping.jsonl, and not repeated; `--s
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from benchmarks.harness import RESULTS, Row, Store, command, grouped, tabulate
-from oed_sysid import Dataset, Limits, Model, MultipleShooting, Problem, improve, load_problem
+from oed_sysid import Dataset, Limits, Model, MultipleShooting, improve, load_problem
 from oed_sysid.design import (
     Budget,
     Candidate,
-    Decision,
     Knowledge,
-    Programme,
     ProgrammeSearch,
     decide,
     design_programme,
@@ -40,7 +38,6 @@ from oed_sysid.design import (
 )
 from oed_sysid.errors import OedSysidError
 from oed_sysid.information import sea_noise
-from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.realisation import simulate_at_sea
 
 STORE = Store(
@@ -52,34 +49,29 @@ RULES, ARMS = ("errors", "checked", "searched"), ("planned", "standard")
 NOTHING = "nothing"
 
 
-@dataclass(frozen=True, eq=False)
 class Trial:
-    """What all trials share: the vehicle, its sea, the programme."""
+    """What all trials share: the vehicle, its sea, the programme.
 
-    problem: Problem
-    sea: NoiseModel
-    programme: Programme
+    That is the programme of `examples/programme_for_an_auv.py`, or the same in a swell.
+    """
 
-    @classmethod
-    def of_auv(cls, swell: float = 0.0) -> Trial:
-        """The programme of `examples/programme_for_an_auv.py`, or the same in a swell."""
-        problem = load_problem("remus_diving_plane")
-        run = problem.experiment("zigzag_10_10")
+    def __init__(self, swell: float = 0.0) -> None:
+        self.problem = load_problem("remus_diving_plane")
+        run = self.problem.experiment("zigzag_10_10")
         pattern = replace(run, initial={**run.initial, "z": 25.0}, duration=60.0, sample_time=0.2)
         words = f"moderate,period={swell}" if swell else "moderate"
-        sea = sea_noise(problem.model, words, [pattern])
-        programme = design_programme(
-            problem.model,
+        self.sea = sea_noise(self.problem.model, words, [pattern])
+        self.programme = design_programme(
+            self.problem.model,
             pattern,
-            limits=problem.limits,
+            limits=self.problem.limits,
             rng=np.random.default_rng(7),
             budget=Budget(hours=HOURS / 4),
             search=ProgrammeSearch(
                 kinds=("zigzag", "3-2-1-1", "levels"), n_draws=1, n_vehicles=4, n_rounds=0
             ),
-            knowledge=Knowledge(noise=sea),
+            knowledge=Knowledge(noise=self.sea),
         )
-        return cls(problem, sea, programme)
 
     def truth(self, hidden: str, rng: np.random.Generator) -> Model:
         """The vehicle as it is."""
@@ -113,7 +105,8 @@ class Trial:
                 model = found.model
                 known = MultipleShooting().fit(model, Dataset(records))
                 continue
-            if stops(rule)(decision):
+            ends = {"errors": all(one.is_met for one in decision.goals), "checked": doubted}
+            if decision.stop or ends.get(rule):
                 break
             chosen = decision.next_run if arm == "planned" else standard[len(records) % 2]
             assert isinstance(chosen, Candidate)
@@ -131,15 +124,6 @@ class Trial:
             "action": decision.action, "doubted": doubted, "added": added, "apart": apart,
             "worst": worst,
         }  # fmt: skip
-
-
-def stops(rule: str) -> Callable[[Decision], bool]:
-    """When a rule stops."""
-    if rule == "errors":
-        return lambda found: found.stop or all(one.is_met for one in found.goals)
-    if rule == "checked":
-        return lambda found: found.stop or found.contradiction is not None
-    return lambda found: found.stop
 
 
 def known(group: Sequence[Row]) -> list[Row]:
@@ -227,7 +211,7 @@ def main(
         for one in hidden for rule in rules for arm in arms for seed in range(seeds)
     ]  # fmt: skip
     if not show:
-        trial = Trial.of_auv(swell)
+        trial = Trial(swell)
         for one in wanted:
             if one in STORE.done():
                 continue

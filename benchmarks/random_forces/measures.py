@@ -267,8 +267,7 @@ def _pair(value: float, error: float) -> str:
 
 
 def _range(numbers: Sequence[float]) -> str:
-    middle, low, high = numbers
-    return f"{middle:.2f} ({low:.2f} to {high:.2f})"
+    return "{:.2f} ({:.2f} to {:.2f})".format(*numbers)
 
 
 SEA = (
