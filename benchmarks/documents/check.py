@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from operator import itemgetter
 
 from benchmarks.documents.page import Numbers, Page
@@ -70,10 +70,4 @@ def searched() -> Numbers:
     }
 
 
-_SECTIONS: dict[str, Callable[[], Numbers]] = {
-    "faults": found,
-    "clean": quiet,
-    "inputs": commanded,
-    "copies": searched,
-}
-PAGE = Page("check", _SECTIONS)
+PAGE = Page("check", {"faults": found, "clean": quiet, "inputs": commanded, "copies": searched})

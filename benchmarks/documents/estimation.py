@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -99,8 +99,8 @@ def spoilt(name: str) -> Numbers:
     return {"kinds": kinds, "failed": sum(row["not_ok"] for pair in kinds.values() for row in pair)}
 
 
-_SECTIONS: dict[str, Callable[[], Numbers]] = {
-    **{name: partial(worlds, name) for name in WORLDS},
-    **{name: partial(spoilt, name) for name in SPOILT},
-}
-PAGE = Page("estimation", _SECTIONS)
+PAGE = Page(
+    "estimation",
+    {name: partial(worlds, name) for name in WORLDS}
+    | {name: partial(spoilt, name) for name in SPOILT},
+)

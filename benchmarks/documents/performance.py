@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 
@@ -34,8 +34,7 @@ def peers() -> Numbers:
     return {"machine": machine(), "starts": starts}
 
 
-_SECTIONS: dict[str, Callable[[], Numbers]] = {
-    **{name: partial(timed, parts) for name, parts in SPEED.items()},
-    "peers": peers,
-}
-PAGE = Page("performance", _SECTIONS)
+PAGE = Page(
+    "performance",
+    {**{name: partial(timed, parts) for name, parts in SPEED.items()}, "peers": peers},
+)

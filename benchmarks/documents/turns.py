@@ -20,7 +20,6 @@ from oed_sysid.errors import DataError, SimulationError
 from oed_sysid.experiments.indices import turning_indices
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.prediction.structures import (
-    Structure,
     StructureAverage,
     average_structures,
     peak_input,
@@ -35,11 +34,6 @@ QUANTITIES = ("advance", "transfer", "tactical_diameter")
 SETTLED = 30.0  # s for which an order must stand to be the turn's
 STEADY_ORDER = np.radians(2.0)
 BEFORE = 2.0  # s over which the state at the execute is averaged
-
-
-def candidates(dataset: Dataset) -> tuple[Structure, ...]:
-    """Structures to average."""
-    return variants(MAVMM, {"MMG": MMG + WIND}, dataset)
 
 
 def turn_of(record: Record) -> Record:
@@ -110,7 +104,7 @@ def predicted(train: Dataset, test: Dataset) -> tuple[StructureAverage, dict[str
     """The rule applied: turns of ``test`` from the records of ``train``, and what was measured."""
     purpose, measured = turns(test)
     average = average_structures(
-        candidates(train),
+        variants(MAVMM, {"MMG": MMG + WIND}, train),
         train,
         purpose=purpose,
         strength=peak_input("delta"),

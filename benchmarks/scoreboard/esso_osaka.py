@@ -9,6 +9,7 @@ how much it is.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +38,7 @@ def further() -> list[Path]:
     return sorted(set(place("esso_osaka").glob("*.csv")) - known)
 
 
-def pieces(path: Path, channels: Channels, *, shortest: float = SHORTEST) -> list[Record]:
+def pieces(path: Path, channels: Channels) -> list[Record]:
     """The log between its gaps in time, pieces that are too short left out.
 
     Raises
@@ -49,12 +50,12 @@ def pieces(path: Path, channels: Channels, *, shortest: float = SHORTEST) -> lis
     if np.diff(table[:, 0]).min() <= 0:
         raise DataError(f"{path.name}: times do not increase. Sort its rows.")
     ends = np.flatnonzero(np.diff(table[:, 0]) > GAP) + 1
-    parts = [part for part in np.split(table, ends) if part[-1, 0] - part[0, 0] >= shortest]
+    parts = [part for part in np.split(table, ends) if part[-1, 0] - part[0, 0] >= SHORTEST]
     if not parts:
         longest = max(part[-1, 0] - part[0, 0] for part in np.split(table, ends))
         raise DataError(
             f"{path.name} is too short: its longest piece without gaps in time has {longest:.1f} s "
-            f"({len(ends)} gaps); expected at least {shortest:g} s. Put a longer log there."
+            f"({len(ends)} gaps); expected at least {SHORTEST:g} s. Put a longer log there."
         )
     names = [path.stem] if len(parts) == 1 else [f"{path.stem}_{k}" for k in range(len(parts))]
     return [
@@ -124,13 +125,15 @@ def score() -> list[Row]:
         for run in load_problem("esso_osaka").data()
         if run.name in VALIDATION
     ]
-    for path in further():
 
-        def one(path: Path = path) -> list[Row]:
-            return [scored(model, path.stem, pieces(path, model.channels))]
+    def one(path: Path) -> list[Row]:
+        return [scored(model, path.stem, pieces(path, model.channels))]
 
-        rows += attempted(f"Esso Osaka, {path.stem}, mean ratio", SOURCE, path.name, one)
-    if not further():
+    paths = further()
+    for path in paths:
+        what = f"Esso Osaka, {path.stem}, mean ratio"
+        rows += attempted(what, SOURCE, path.name, partial(one, path))
+    if not paths:
         what = "Esso Osaka, published test files"
         rows.append(missing(what, SOURCE, "esso_osaka/*.csv", "further logs of the source"))
     return rows

@@ -8,6 +8,8 @@ to 32,100; the first 50 samples of a test may set the initial state and are not 
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from benchmarks.scoreboard.row import Row, attempted, columns, missing, place
@@ -66,13 +68,8 @@ def part_of(
 ) -> Record:
     """A part with its input between the samples, as the problem's own records have it."""
     first, last = ends
-    margin = min(PADDING, first, len(voltage) - last)
-    if margin < PADDING:
-        left, right = max(PADDING - first, 0), max(PADDING - (len(voltage) - last), 0)
-        voltage = np.pad(voltage, (left, right))
-        fine = band_limited(voltage, first + left, last + left)
-    else:
-        fine = band_limited(voltage, first, last)
+    left, right = max(PADDING - first, 0), max(PADDING - (len(voltage) - last), 0)
+    fine = band_limited(np.pad(voltage, (left, right)), first + left, last + left)
     outputs = np.full(len(fine), np.nan)
     outputs[::FINER] = response[first:last]
     times = np.arange(len(fine)) / (FINER * SAMPLING)
@@ -92,8 +89,7 @@ def score() -> list[Row]:
     """Three columns, and the validation realisation that is at hand."""
     model, fit, added = learn()
     note = f"linear + {', '.join(added)}; fitted to 3,500 samples of the multisine"
-    problem = load_problem("silverbox")
-    train, test = problem.data().split(test="test_third_realisation")
+    train, test = load_problem("silverbox").data().split(test="test_third_realisation")
     alone = MultipleShooting(disturbances="none").fit(model, train)
     value = 1e3 * simulated_error(alone, test[0])
     rows = [
@@ -105,17 +101,16 @@ def score() -> list[Row]:
             "fitted to 1,500 samples; this part confirmed the effects",
         )
     ]
-    titles = [(f"Silverbox, {name}", f"{best}, {SOURCE}") for name, (_, best) in PARTS.items()]
-    if not place(WHOLE).is_file():
-        form = f"SNLS80mV as two columns V1,V2 with a header ({LENGTH:,} rows)"
-        return rows + [missing(what, published, WHOLE, form) for what, published in titles]
-    for (what, published), (ends, _) in zip(titles, PARTS.values(), strict=True):
 
-        def one(
-            what: str = what, published: str = published, ends: tuple[int, int] = ends
-        ) -> list[Row]:
-            error = 1e3 * simulated_error(fit, part_of(*whole(), ends, fit.model))
-            return [Row(what, error, published, "mV", note)]
+    def scored(what: str, published: str, ends: tuple[int, int]) -> list[Row]:
+        error = 1e3 * simulated_error(fit, part_of(*whole(), ends, fit.model))
+        return [Row(what, error, published, "mV", note)]
 
-        rows += attempted(what, published, WHOLE, one)
+    form = f"SNLS80mV as two columns V1,V2 with a header ({LENGTH:,} rows)"
+    for name, (ends, best) in PARTS.items():
+        titles = f"Silverbox, {name}", f"{best}, {SOURCE}"
+        if place(WHOLE).is_file():
+            rows += attempted(*titles, WHOLE, partial(scored, *titles, ends))
+        else:
+            rows.append(missing(*titles, WHOLE, form))
     return rows
