@@ -29,7 +29,7 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.harness import command, markdown
 from oed_sysid.data.formats import open_log
-from oed_sysid.data.recognise import Guess, recognise
+from oed_sysid.data.recognise import recognise
 from oed_sysid.text.units import to_si
 
 # -- vehicles ----------------------------------------------------------------------------
@@ -267,10 +267,6 @@ def foreign(folder: Path, rng: np.random.Generator, number: int) -> Foreign:
 # -- the examination ---------------------------------------------------------------------
 
 
-def _in_si(guess: Guess, values: np.ndarray) -> np.ndarray:
-    return np.asarray(guess.sign * to_si(values - guess.trim, guess.unit)[0])
-
-
 def examine(log: Foreign) -> list[tuple[str, str, str]]:
     """Fact, verdict (right, asked, wrong) and words of everything that should be known of a log."""
     opened = open_log(log.path)
@@ -292,7 +288,7 @@ def examine(log: Foreign) -> list[tuple[str, str, str]]:
             what = "" if guess is None else f" taken for {guess.role}"
             rows += [(fact, "wrong" if taken else "asked", f"{role}{what}") for fact in facts]
             continue
-        read = _in_si(guess, opened[guess.field].values)
+        read = guess.sign * to_si(opened[guess.field].values - guess.trim, guess.unit)[0]
         if guess.wrap:
             read = np.unwrap(read)
         a, b = read - read.mean(), values - values.mean()

@@ -20,6 +20,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -202,23 +203,21 @@ class Files:
         return text
 
 
-def damage(rng: random.Random, data: object) -> None:
+def damage(rng: random.Random, data: Any) -> None:
     """Change one entry somewhere in nested lists and dictionaries."""
-    while True:
-        keys = list(data) if isinstance(data, dict) else list(range(len(data)))  # type: ignore[arg-type, call-overload]
-        if not keys:
-            return
-        key = rng.choice(keys)
-        inner = data[key]  # type: ignore[index]
-        if isinstance(inner, dict | list) and inner and rng.random() < 0.85:
-            data = inner
-            continue
-        choice = rng.choice((None, 0, -1, 1e308, True, "x", [], {}, [1], "nan", 10**30, ...))
-        if choice is ...:
-            del data[key]  # type: ignore[attr-defined]
-        else:
-            data[key] = choice  # type: ignore[index]
+    keys = list(data) if isinstance(data, dict) else list(range(len(data)))
+    if not keys:
         return
+    key = rng.choice(keys)
+    inner = data[key]
+    if isinstance(inner, dict | list) and inner and rng.random() < 0.85:
+        damage(rng, inner)
+        return
+    choice = rng.choice((None, 0, -1, 1e308, True, "x", [], {}, [1], "nan", 10**30, ...))
+    if choice is ...:
+        del data[key]
+    else:
+        data[key] = choice
 
 
 @dataclass

@@ -10,16 +10,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.harness import command, markdown
+from benchmarks.harness import Row, command, markdown
 from benchmarks.missing_physics.cases import DATA, UNKNOWN_TERMS, draws, simulate_draws
 from benchmarks.missing_physics.judge import datasets
 from benchmarks.missing_physics.simulator import Case, Records
 from oed_sysid import Problem, load_problem
-from oed_sysid.evidence.locate import Located, locate
+from oed_sysid.evidence.locate import locate
 from oed_sysid.evidence.study import Study
 
 # Without the unknown moment w^3 of positive sign, which throws the vehicle over.
@@ -28,17 +27,8 @@ PLAN = "single/white:40 none/white:10 unknown/white:5 unknown/white:6-15 unknown
 SURGE = ("force X", "actuator T")
 
 
-@dataclass(frozen=True)
-class Outcome:
+def outcome(problem: Problem, case: Case, records: Sequence[Records]) -> Row:
     """Which place is accused in one case, which are right, and how long it took, s."""
-
-    located: Located
-    right: tuple[str, ...]
-    seconds: float
-
-
-def outcome(problem: Problem, case: Case, records: Sequence[Records]) -> Outcome:
-    """Locate what one case hides."""
     train, test = datasets(problem, records)
     name = next(iter(case.effects), "")
     if name in UNKNOWN_TERMS:
@@ -48,26 +38,26 @@ def outcome(problem: Problem, case: Case, records: Sequence[Records]) -> Outcome
         right = tuple(DATA["effects"][name]["places"]) if name else ()
     study, fit = Study.begin(problem.model, train, test, (), known_noise=False)
     began = time.perf_counter()
-    return Outcome(locate(fit, study.unit), right, time.perf_counter() - began)
+    found = locate(fit, study.unit)
+    seconds = time.perf_counter() - began
+    near = {place.name for place in found.places[:2]} | set(found.group)
+    return {
+        "right": right, "best": found.best, "group": found.group,
+        "near": bool(near & set(right)), "seconds": seconds,
+    }  # fmt: skip
 
 
-def rows(outcomes: Sequence[Outcome]) -> list[tuple[str, str]]:
+def rows(outcomes: Sequence[Row]) -> list[tuple[str, str]]:
     """Measures as pairs of words and numbers."""
-    hidden = [o for o in outcomes if o.right]
-    seen = [o for o in hidden if o.located.best is not None]
-    nothing = [o for o in outcomes if not o.right]
-    near = [{p.name for p in o.located.places[:2]} | set(o.located.group) for o in seen]
+    hidden, nothing = ([o for o in outcomes if bool(o["right"]) is so] for so in (True, False))
+    seen, false = ([o for o in part if o["best"] is not None] for part in (hidden, nothing))
     counts = {
         "a place is accused, something hidden": (len(seen), hidden),
-        "right place first": (sum(o.located.best in o.right for o in seen), seen),
-        "right place in the first two or in the group": (
-            sum(bool(s & set(o.right)) for s, o in zip(near, seen, strict=True)), seen,
-        ),
-        "false accusations, nothing hidden": (
-            sum(o.located.best is not None for o in nothing), nothing,
-        ),
-    }  # fmt: skip
-    seconds = f"{np.median([o.seconds for o in outcomes]):.1f}"
+        "right place first": (sum(o["best"] in o["right"] for o in seen), seen),
+        "right place in the first two or in the group": (sum(o["near"] for o in seen), seen),
+        "false accusations, nothing hidden": (len(false), nothing),
+    }
+    seconds = f"{np.median([o['seconds'] for o in outcomes]):.1f}"
     found = [(words, f"{count} of {len(all_)}") for words, (count, all_) in counts.items()]
     return [*found, ("seconds to locate, median", seconds)]
 
@@ -83,7 +73,7 @@ def main(plan: str = PLAN) -> None:
     wanted, problem, outcomes = draws(plan), load_problem("remus_diving_plane"), []
     for draw, (case, records) in zip(wanted, simulate_draws(wanted), strict=True):
         outcomes.append(outcome(problem, case, records))
-        accused = ", ".join(outcomes[-1].located.group) or "noise"
+        accused = ", ".join(outcomes[-1]["group"]) or "noise"
         print(f"{draw.key} {', '.join(case.effects) or 'nothing'}: {accused}", flush=True)
     print("\n".join(markdown(("measure", "value"), rows(outcomes))))
 

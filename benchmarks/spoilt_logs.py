@@ -22,6 +22,7 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -46,7 +47,7 @@ Shape = Callable[[Signals, np.ndarray], np.ndarray]
 SAMPLES, FINER = 900, 5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Craft:
     """A vehicle: what it logs at which noise and step, and how it moves."""
 
@@ -316,16 +317,13 @@ def faults_of(craft: Craft) -> list[Spoil]:
 
 
 _COLOURS = {"white": 0.0, "AR 0.5": 0.5, "AR 0.9": 0.9, "Student 5": 0.0, "two rates": 0.0}
-_RUNS: dict[tuple[str, int], list[Signals]] = {}
 
 
+@cache
 def truth(craft: Craft, seed: int) -> list[Signals]:
     """True signals of three records; kept, for all faults of all seeds."""
-    key = (craft.name, seed)
-    if key not in _RUNS:
-        rng = np.random.default_rng((seed, len(craft.name)))
-        _RUNS[key] = [craft.run(k, rng) for k in range(3)]
-    return _RUNS[key]
+    rng = np.random.default_rng((seed, len(craft.name)))
+    return [craft.run(k, rng) for k in range(3)]
 
 
 def written(

@@ -100,21 +100,17 @@ def case(draw: Draw, attempt: int = 0) -> Case:
     seed = zlib.crc32(f"{draw.key}/{attempt}".encode())
     rng = np.random.default_rng(seed)
     derivatives = true_derivatives(rng)
+    # Amplitudes fall where half of the attempts capsized already.
+    factor = 0.8 ** max(attempt - ATTEMPTS // 2, 0)
     return Case(
         draw.key,
         derivatives,
-        _weakened(_hidden(draw, rng), attempt),
+        {name: factor * size for name, size in _hidden(draw, rng).items()},
         CONDITIONS[draw.condition],
         seed,
         wave_frequency=rng.uniform(0.8, 1.25),
         wave_phase=rng.uniform(-math.pi, math.pi),
     )
-
-
-def _weakened(hidden: dict[str, float], attempt: int) -> dict[str, float]:
-    """Amplitudes that fall where half of the attempts capsized already."""
-    factor = 0.8 ** max(attempt - ATTEMPTS // 2, 0)
-    return {name: factor * size for name, size in hidden.items()}
 
 
 def _hidden(draw: Draw, rng: np.random.Generator) -> dict[str, float]:

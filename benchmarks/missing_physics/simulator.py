@@ -295,13 +295,13 @@ def _integrated(
     """Commands ``(n_rows, n_times, 2)`` and outputs without noise ``(n_rows, n_times, 5)``."""
     truth = Truth([case for case, _ in rows])
     thrust = np.array([manoeuvre.thrust for _, manoeuvre in rows])
-    pilot = _Pilot([manoeuvre for _, manoeuvre in rows])
+    pilot = _pilot([manoeuvre for _, manoeuvre in rows])
     inputs = np.zeros((len(rows), n_times, 2))
     clean = np.zeros((len(rows), n_times, 5))
 
     def command(k: int, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if given is None:
-            inputs[:, k, 0], inputs[:, k, 1] = pilot.command(k, state[3]), thrust
+            inputs[:, k, 0], inputs[:, k, 1] = pilot(k, state[3]), thrust
         else:
             inputs[:, k] = given[:, k]
         return inputs[:, k, 0], inputs[:, k, 1]
@@ -315,27 +315,25 @@ def _integrated(
     return inputs, clean
 
 
-class _Pilot:
-    """Commands of all manoeuvres: steps by the clock, zigzags by a relay on the pitch angle."""
+def _pilot(manoeuvres: Sequence[Manoeuvre]) -> Callable[[int, np.ndarray], np.ndarray]:
+    """Commands from sample and pitch angle: steps by the clock, zigzags by a relay on the angle."""
+    amplitude, switch = np.radians([[m.amplitude, m.switch] for m in manoeuvres]).T
+    relay = np.ones(len(manoeuvres))
 
-    def __init__(self, manoeuvres: Sequence[Manoeuvre]) -> None:
-        self.manoeuvres = manoeuvres
-        self.amplitude = np.radians([m.amplitude for m in manoeuvres])
-        self.switch = np.radians([m.switch for m in manoeuvres])
-        self.relay = np.ones(len(manoeuvres))
-
-    def command(self, sample: int, pitch: np.ndarray) -> np.ndarray:
+    def command(sample: int, pitch: np.ndarray) -> np.ndarray:
         """Fin commands at one sample; positive ones pitch the bow down."""
         elapsed = sample - round(BEGIN / SAMPLE)
         if elapsed < 0:
-            return np.zeros(len(self.relay))
-        self.relay[pitch < -self.switch] = -1.0
-        self.relay[pitch > self.switch] = 1.0
+            return np.zeros(len(relay))
+        relay[pitch < -switch] = -1.0
+        relay[pitch > switch] = 1.0
         steps = [
             m.levels[elapsed // round(m.hold / SAMPLE) % len(m.levels)] if m.levels else 0.0
-            for m in self.manoeuvres
+            for m in manoeuvres
         ]
-        return self.relay * self.amplitude + np.radians(steps)
+        return relay * amplitude + np.radians(steps)
+
+    return command
 
 
 def _drawn(case: Case, manoeuvre: Manoeuvre, n_times: int) -> tuple[np.ndarray, np.ndarray]:
