@@ -3,7 +3,7 @@
     OMP_NUM_THREADS=1 python -m benchmarks.fit_peers [names] [--python PATH ...]
 
 One record of 2,400 samples of five outputs, eight derivatives too small by 30 and by 3 %, and five
-unknown initial states (:mod:`benchmarks.peers.task`); how each peer is used stands in
+unknown initial states; the task and how each peer is used stand in
 :mod:`benchmarks.peers.fits`. Every peer runs in a process of its own, with the first interpreter of
 ``--python`` that has it (``pip install do-mpc numba optimistix jax pypesto[amici,petab,fides]
 antimony swig pyomo pandas pints`` and ``pip install pybop numba`` in two environments). Times are
@@ -29,7 +29,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import ONE_THREAD, Row, command, dive, ignorant, known, machine, scaled
-from benchmarks.peers.task import STEP
+from benchmarks.peers.fits import STEP
 from benchmarks.truth import NAMES
 from oed_sysid import Dataset, Fit, MultipleShooting, load_problem
 from oed_sysid.physics.model import Model

@@ -18,7 +18,7 @@ import pyomo.environ as pyo
 from pyomo.contrib.doe import DesignOfExperiments
 from pyomo.contrib.parmest.experiment import Experiment
 
-from benchmarks.peers.task import used
+from benchmarks.peers.fits import used
 from benchmarks.truth import NAMES, NOISE, TRUE, rates
 
 
