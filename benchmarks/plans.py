@@ -58,7 +58,6 @@ from oed_sysid.design import (
     Knowledge,
     ProgrammeSearch,
     Search,
-    Trial,
     ZigZags,
     assess_limits,
     design_experiment,
@@ -225,12 +224,7 @@ def planned(
     model: Model, sea: NoiseModel, certainty: float, spread: float | None, rng: np.random.Generator
 ) -> Experiment:
     """A run that reacts, planned with caution for vehicles that are so far off what is believed."""
-    problem = load_problem("remus_diving_plane")
-    pattern = problem.experiment("zigzag_10_10")
-    trial = Trial(
-        limits=problem.limits, duration=60.0, sample_time=0.1, constants=pattern.constants,
-        initial={**pattern.initial, "z": 25.0},
-    )  # fmt: skip
+    trial = realised.trial(load_problem("remus_diving_plane").limits, 60.0)
     return design_experiment(
         model, trial, rng=rng, search=Search(family=ZigZags()),
         knowledge=Knowledge(noise=sea, spread=spread),

@@ -41,7 +41,7 @@ from benchmarks.random_forces.scenarios import MEDIUM, REMUS
 from benchmarks.random_forces.simulator import swell as waves_of_swell
 from benchmarks.random_forces.trial import JONSWAP_WIDTH
 from benchmarks.truth import gauss_markov
-from oed_sysid import Dataset, Experiment, Model, MultipleShooting, Record, load_problem
+from oed_sysid import Dataset, Experiment, Limits, Model, MultipleShooting, Record, load_problem
 from oed_sysid.design import DOptimal, Knowledge, Levels, Search, Trial, design_experiment
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information import information_of
@@ -72,24 +72,27 @@ def sea(model: Model, factor: float, swell: float = 0.0) -> NoiseModel:
     )  # fmt: skip
 
 
+def trial(limits: Limits, duration: float) -> Trial:
+    """A run from 25 m that begins and is driven as the zigzags of the problem."""
+    pattern = load_problem("remus_diving_plane").experiment("zigzag_10_10")
+    start = {**pattern.initial, "z": 25.0}
+    return Trial(
+        limits=limits, duration=duration, sample_time=0.1, constants=pattern.constants,
+        initial=start,
+    )  # fmt: skip
+
+
 def plan(model: Model, name: str, noise: NoiseModel) -> list[Experiment]:
     """Runs as open-loop commands at 0.1 s."""
     problem = load_problem("remus_diving_plane")
     if name == "zigzags":
         chosen = [problem.experiment(n) for n in ("zigzag_5_5", "zigzag_10_10", "zigzag_15_12")]
         return [replace(one, duration=60.0, feedback="true") for one in chosen]
-    pattern = problem.experiment("zigzag_10_10")
     largest = math.radians(20.0 if name == "designed" else 1.0)
     limits = replace(problem.limits, inputs={"fin_command": (-largest, largest)})
     found = design_experiment(
         model,
-        Trial(
-            limits=limits,
-            duration=62.0,
-            sample_time=0.1,
-            constants=pattern.constants,
-            initial={**pattern.initial, "z": 25.0},
-        ),
+        trial(limits, 62.0),
         rng=np.random.default_rng(1),
         criterion=DOptimal(),
         search=Search(family=Levels(20), n_starts=2, n_candidates=30, n_steps=10, n_workers=1),
