@@ -213,8 +213,6 @@ def main(
     ----------
     worlds : sequence of str
         scenarios of random_forces
-    sets, seed : int
-        data sets of each
     sets : int
         data sets of each
     seed : int

@@ -38,17 +38,8 @@ def run(
 ) -> dict[str, Any]:
     """Run all cases of a plan that are not on disk yet, and measure all that are.
 
-    Parameters
-    ----------
-    plan : str
-        See :func:`benchmarks.missing_physics.cases.draws`.
-    results, n_jobs, minutes, tell
-        See :func:`benchmarks.harness.run_cases`.
-
-    Returns
-    -------
-    dict
-        Measures, see :func:`benchmarks.missing_physics.measures.measures`.
+    See :func:`main`; ``tell`` takes progress. What is returned is that of
+    :func:`benchmarks.missing_physics.measures.measures`.
     """
     wanted = {draw.key: draw for draw in draws(plan)}
 

@@ -40,20 +40,7 @@ def run(
 ) -> list[Row]:
     """Run all cases that are not in the store yet, and return all that are finished.
 
-    Parameters
-    ----------
-    vehicles : sequence of str
-        Any of coaster, catamaran, auv, motor.
-    cases : int
-        Cases of every vehicle.
-    only : sequence of int
-        Numbers of cases, where not all are wanted.
-    store, n_jobs, minutes, tell
-        See :func:`benchmarks.harness.run_cases`.
-    limit : float
-        Longest processor time that one improvement may take, s.
-    prepared : bool
-        Whether candidates are named.
+    See :func:`main`; candidates are named where they are ``prepared``, and ``tell`` takes progress.
     """
     # Candidates are named unless it is said, so that cases of a store are what they were.
     settings = {"limit": limit} | ({} if prepared else {"prepared": False})

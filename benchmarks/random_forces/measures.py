@@ -49,7 +49,7 @@ def measure(
     Returns
     -------
     dict
-        Plain data: see ``benchmarks/random_forces/__init__.py``.
+        Plain data: see :mod:`benchmarks.random_forces`.
     """
     names = list(VEHICLES[scenario.vehicle].believed)
     error, z = _errors(outcomes, names)
@@ -111,13 +111,7 @@ def _bands(outcomes: Sequence[Outcome]) -> dict[str, tuple[float, float]]:
 
 
 def missed(scenario: Scenario, found: Mapping[str, Any]) -> list[str]:
-    """Targets that are missed by more than twice the Monte-Carlo error.
-
-    Coverage of 93 to 97 % (90 to 97 % where forces are large, the vehicle is
-    unstable or the trial weak); wrong sensors may be flagged in 95 % of the runs instead. Errors
-    of at most 1.1 times the reference's wherever disturbance forces act; prediction
-    bands of 93 to 97 %.
-    """
+    """Targets that are missed, as :mod:`benchmarks.random_forces` states them."""
     lowest = 90.0 if scenario.name in DIFFICULT else 93.0
     names = []
     if not _within(found["coverage"], found["coverage_error"], lowest) and not (

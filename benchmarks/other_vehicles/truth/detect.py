@@ -70,13 +70,12 @@ def gains(
     input_noise : float
         Size of the noise of the logged input, which the filter takes for a white force.
     """
-    n_train = len(vehicle.train)
-    parts = []
+    n_train, parts = len(vehicle.train), []
     for record in range(len(runs.names)):
-        own = {k: _of_record(v, record) for k, v in hidden.items()}
-        bare = {k: _of_record(v, record) for k, v in nominal[1].items()}
-        truth = Plant(vehicle, parameters, own)
-        other = Plant(vehicle, nominal[0], bare)
+        truth, other = (
+            Plant(vehicle, values, {k: _of_record(v, record) for k, v in sizes.items()})
+            for values, sizes in ((parameters, hidden), nominal)
+        )
         parts.append(_whitened(truth, other, runs, record, estimated, (waves, input_noise)))
     return _project(parts, n_train, len(vehicle.states))
 
@@ -100,7 +99,9 @@ def _whitened(
     sent = runs.commands[record].T
     forces = runs.forces[record].T
     state = full[:n]
-    fed = _effective(other, sent)
+    fed, play = np.empty_like(sent), sent[:, 0]
+    for k in range(sent.shape[1]):
+        fed[:, k], play = other.effective(sent[:, k], play)
 
     def later(
         plant: Plant, own: np.ndarray, push: np.ndarray, sent: np.ndarray = fed
@@ -139,14 +140,6 @@ def _whitened(
     shaken = disturbed[1] * (later(other, state, forces, wrong) - base).T
     inputs = np.stack([jump, *driven], axis=2).transpose(1, 0, 2)  # time, state, column
     return _innovations(vehicle, transition, shown, inputs, gap.T, pushed, levels, shaken)
-
-
-def _effective(plant: Plant, commands: np.ndarray) -> np.ndarray:
-    rows = np.empty_like(commands)
-    play = commands[:, 0]
-    for k in range(commands.shape[1]):
-        rows[:, k], play = plant.effective(commands[:, k], play)
-    return rows
 
 
 def _innovations(
