@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -79,14 +79,22 @@ def _told(gain: float, gains: Row, needed: float, train_error: float, test_error
 def _fits(
     study: Study, base: FilteredSolution, effects: Sequence[Effect], case: Case
 ) -> dict[str, FilteredSolution]:
-    """Fits of the true structure, whole and without each of several effects."""
-    sizes: dict[str, float] = {}
+    """Most likely fits of the true structure, whole and without each of several effects.
+
+    Each from the nominal fit, with true sizes, and from the truth.
+    """
+    start = dict(base.values)
     for effect in effects:
-        sizes |= _true_values(effect, case)
-    found = {}
+        start |= _true_values(effect, case)
+    noise, found = study.loosened(base.noise), {}
     for left_out in ("", *(case.effects if len(effects) > 1 else ())):
         kept = [effect for effect in effects if effect.name != left_out]
-        found[left_out] = _best_fit(study, base, kept, sizes, case.derivatives)
+        tried = (
+            study.estimate(kept, values, base, noise=noise, max_iterations=25)
+            for values in (dict(base.values), start, start | dict(case.derivatives))
+        )
+        fits = [fit for fit in tried if fit is not None]
+        found[left_out] = study.settle(min(fits, key=lambda fit: fit.objective))
     return found
 
 
@@ -118,23 +126,6 @@ def _true_values(effect: Effect, case: Case) -> dict[str, float]:
     return {effect.amplitude_names[0]: size}
 
 
-def _best_fit(
-    study: Study,
-    base: FilteredSolution,
-    effects: Sequence[Effect],
-    amplitudes: Mapping[str, float],
-    derivatives: Mapping[str, float],
-) -> FilteredSolution:
-    """Most likely fit of one structure, from the nominal fit, with true sizes, and the truth."""
-    start = dict(base.values) | dict(amplitudes)
-    found = [
-        study.estimate(effects, values, base, noise=study.loosened(base.noise), max_iterations=25)
-        for values in (dict(base.values), start, start | dict(derivatives))
-    ]
-    best = min((fit for fit in found if fit is not None), key=lambda fit: fit.objective)
-    return study.settle(best)
-
-
 @lru_cache(maxsize=1)
 def _problem() -> Problem:
     return load_problem("remus_diving_plane")
@@ -142,16 +133,11 @@ def _problem() -> Problem:
 
 def datasets(problem: Problem, records: Sequence[Records]) -> tuple[Dataset, Dataset]:
     """Training and test records of one simulated case."""
-    found = {
-        manoeuvre.name: Record(
-            manoeuvre.name, part.times, part.inputs, part.outputs, problem.channels
-        )
+    found = tuple(
+        Record(manoeuvre.name, part.times, part.inputs, part.outputs, problem.channels)
         for manoeuvre, part in zip((*TRAIN, *TEST), records, strict=True)
-    }
-    return (
-        Dataset([found[m.name] for m in TRAIN]),
-        Dataset([found[m.name] for m in TEST]),
     )
+    return Dataset(found[: len(TRAIN)]), Dataset(found[len(TRAIN) :])
 
 
 def judge(draw: Draw, case: Case, records: Sequence[Records]) -> dict[str, Any]:

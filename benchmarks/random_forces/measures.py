@@ -52,12 +52,12 @@ def measure(
         Plain data: see :mod:`benchmarks.random_forces`.
     """
     names = list(VEHICLES[scenario.vehicle].believed)
-    error, z = _errors(outcomes, names)
+    error, z = errors(outcomes, names)
     found: dict[str, Any] = {
         "scenario": scenario.name,
         "title": scenario.title,
         "sets": len(outcomes),
-        **_estimated(names, error, z),
+        **estimated(names, error, z),
         **_told_by(outcomes),
         "prediction": _bands(outcomes),
         "sea": _sea(scenario, outcomes),
@@ -70,7 +70,7 @@ def measure(
     return found
 
 
-def _estimated(names: Sequence[str], error: np.ndarray, z: np.ndarray) -> dict[str, Any]:
+def estimated(names: Sequence[str], error: np.ndarray, z: np.ndarray) -> dict[str, Any]:
     """Coverage, errors over standard errors and bias, of all parameters and of each."""
     inside = np.abs(z) <= QUANTILE
     coverage, coverage_error = share(inside)
@@ -134,7 +134,7 @@ def _within(value: float, error: float, lowest: float, highest: float = 97.0) ->
     return lowest - slack <= value <= highest + slack
 
 
-def _errors(outcomes: Sequence[Any], names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+def errors(outcomes: Sequence[Any], names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     """Relative errors and errors over standard errors, ``(n_sets, n_parameters)``.
 
     A fit that raised has an error of one and is outside its intervals.

@@ -8,14 +8,15 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from benchmarks.harness import known, markdown
 from benchmarks.random_forces import reference as cache
-from benchmarks.random_forces.measures import measure, table
-from benchmarks.random_forces.scenarios import SCENARIOS, Scenario
+from benchmarks.random_forces.measures import errors, estimated, measure, table
+from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES, Scenario
 from benchmarks.random_forces.simulator import Set, simulate
 from benchmarks.random_forces.trial import Outcome, outcome
 from oed_sysid.runtime.files import write_text
@@ -114,13 +115,9 @@ def reference_row(
 ) -> str:
     """One row about the reference itself."""
     rows = [lines[one.number] for one in data]
-    fits = [
-        Outcome(
-            one.number, one.truth, row["estimates"], row["std_errors"], "converged", (), None, {}, 0
-        )
-        for one, row in zip(data, rows, strict=True)
-    ]
-    found = measure(scenario, fits, {})
+    fits = [SimpleNamespace(truth=one.truth, **row) for one, row in zip(data, rows, strict=True)]
+    names = list(VEHICLES[scenario.vehicle].believed)
+    found = estimated(names, *errors(fits, names))
     noise = cache.structure(scenario)
     ratios = {
         name: np.median([row["estimates"][name] for row in rows]) / noise.values[name]
