@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -150,12 +151,10 @@ def missing(
 ) -> Iterator[tuple[Any, ...]]:
     """What is still to be run, the first seed of everything first."""
     done = merged(STORE.rows())
-    for seed in range(seeds):
-        for problem in problems:
-            for world in worlds:
-                run = done.get((problem, world, seed), {"runs": {}})["runs"]
-                if left := sorted(set(estimators) - set(run)):
-                    yield problem, world, seed, *left
+    for seed, problem, world in product(range(seeds), problems, worlds):
+        run = done.get((problem, world, seed), {"runs": {}})["runs"]
+        if left := sorted(set(estimators) - set(run)):
+            yield problem, world, seed, *left
 
 
 # -- what they say -------------------------------------------------------------------------
@@ -210,13 +209,12 @@ def headline(rows: Sequence[Row]) -> list[str]:
     """Where our default is first, within the scatter or behind, cell by cell."""
     least: list[float] = []
     others = [name for name in ESTIMATORS if name != OURS_DISTURBED_IPOPT]  # the same estimator
-    for world in ACTING:
-        for own in (OURS_DISTURBED, *TOLD):
-            names = [name for name in others if default_for(name) == own != name]
-            rivals = [ratios(rows, world, name) for name in names]
-            for problem in SYSTEMS:
-                if errors := [found[problem] for found in rivals if problem in found]:
-                    least.append(min(errors))
+    for world, own in product(ACTING, (OURS_DISTURBED, *TOLD)):
+        names = [name for name in others if default_for(name) == own != name]
+        rivals = [ratios(rows, world, name) for name in names]
+        for problem in SYSTEMS:
+            if errors := [found[problem] for found in rivals if problem in found]:
+                least.append(min(errors))
     first, behind = sum(x >= 1.0 for x in least), sum(x < 1 / 1.1 for x in least)
     total, near = len(least), len(least) - first - behind
     seeds = len({row["seed"] for row in rows})

@@ -236,21 +236,20 @@ def compare(
             print(
                 f"  {reference.name} {reference.note}: {mean:.2f}x, worst {worst:.2f}x", flush=True
             )
-    for label, experiment in (("design", design.experiment), ("zigzag", zigzag)):
-        if n_confirm:
-            found = confirm_bound(
-                system.model, experiment, rng=np.random.default_rng(7), n_runs=n_confirm
-            )
-            low, high = found.interval
-            sizes = np.abs([system.model.values[n] for n in found.names])
-            print(
-                f"  {label}: found/predicted error {found.ratios.min():.2f} to "
-                f"{found.ratios.max():.2f} over parameters (99 %: {low:.2f} to {high:.2f}), "
-                f"{found.n_failed} of {n_confirm} failed, relative errors found: geometric mean "
-                f"{np.exp(np.mean(np.log(found.found / sizes))):.2%}, worst "
-                f"{np.max(found.found / sizes):.2%}",
-                flush=True,
-            )
+    confirmed = {"design": design.experiment, "zigzag": zigzag} if n_confirm else {}
+    for label, experiment in confirmed.items():
+        rng = np.random.default_rng(7)
+        found = confirm_bound(system.model, experiment, rng=rng, n_runs=n_confirm)
+        low, high = found.interval
+        sizes = np.abs([system.model.values[n] for n in found.names])
+        print(
+            f"  {label}: found/predicted error {found.ratios.min():.2f} to "
+            f"{found.ratios.max():.2f} over parameters (99 %: {low:.2f} to {high:.2f}), "
+            f"{found.n_failed} of {n_confirm} failed, relative errors found: geometric mean "
+            f"{np.exp(np.mean(np.log(found.found / sizes))):.2%}, worst "
+            f"{np.max(found.found / sizes):.2%}",
+            flush=True,
+        )
 
 
 def robustness(

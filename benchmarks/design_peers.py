@@ -38,7 +38,6 @@ from oed_sysid.design import (
     Knowledge,
     Levels,
     Search,
-    Trial,
     design_experiment,
 )
 from oed_sysid.design.library import as_piecewise
@@ -96,13 +95,7 @@ def designed(case: Case, n_starts: int = 3, criterion: str = "D") -> Design:
     """Design by us, with the settings that a user gets, but one thread."""
     return design_experiment(
         case.model,
-        Trial(
-            limits=LIMITS,
-            duration=case.duration,
-            sample_time=STEP,
-            constants={"thrust": THRUST},
-            initial=INITIAL,
-        ),
+        replace(remus(), duration=case.duration).trial(LIMITS),
         criterion=CRITERIA[criterion][0],
         rng=np.random.default_rng(1),
         search=Search(family=Levels(case.n_levels), n_starts=n_starts, n_workers=1),

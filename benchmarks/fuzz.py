@@ -32,6 +32,10 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.text import dimensions, expressions, notation, units
 
+sys.path.insert(0, str(ROOT / "tests"))
+
+from bad_input.problem_files import SOUND
+
 SLOW = 2.0  # s
 # Share of the inputs, by what reads them.
 SHARES = {"units": 0.36, "notation": 0.2, "expressions": 0.3, "csv": 0.12, "results": 0.017}
@@ -180,10 +184,6 @@ class Files:
 
     def problem(self, rng: random.Random) -> str:
         """A problem file with other numbers and other texts."""
-        sys.path.insert(0, str(ROOT / "tests"))
-        from bad_input.problem_files import SOUND
-
-        sys.path.pop(0)
         text = SOUND
         for _ in range(rng.randint(1, 3)):
             lines = text.split('"')

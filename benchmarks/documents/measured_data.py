@@ -53,14 +53,12 @@ def of(found: Improvement) -> Numbers:
 
 def _words(found: Improvement, step: Step) -> str:
     """An effect and its rivals; of a proposed term, which it is and what it takes the place of."""
+    words = " *or* ".join(step.group)
     for term in found.proposed:
         if term["name"] == step.added:
-            instead = ", in the place of " + ", ".join(term["replaces"]) if term["replaces"] else ""
-            words = (
-                f"a proposed term, {term['term']} in the equation of {term['equation']}{instead}"
-            )
-            return words.replace("_", " ")
-    return " *or* ".join(name.replace("_", " ") for name in step.group)
+            words = f"a proposed term, {term['term']} in the equation of {term['equation']}"
+            words += ", in the place of " + ", ".join(term["replaces"]) if term["replaces"] else ""
+    return words.replace("_", " ")
 
 
 def roll_decay() -> Numbers:

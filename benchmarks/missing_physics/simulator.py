@@ -242,10 +242,9 @@ def simulate(
     forces, noise = zip(*(_drawn(case, run, len(times)) for case, run in rows), strict=True)
     given = None if commands is None else commands.reshape(len(rows), len(times), 2)
     inputs, clean = _integrated(rows, len(times), np.stack(forces, 2), given)
-    noise = np.stack(noise)
-    n = len(cases)
-    parts = [slice(i * n, (i + 1) * n) for i in range(len(manoeuvres))]
-    return [Records(times, inputs[p], clean[p], clean[p] + noise[p]) for p in parts]
+    arrays = (inputs, clean, clean + np.stack(noise))
+    parts = zip(*(np.split(one, len(manoeuvres)) for one in arrays), strict=True)
+    return [Records(times, *part) for part in parts]
 
 
 def integrate(

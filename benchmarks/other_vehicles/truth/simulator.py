@@ -11,8 +11,8 @@ forces :math:`w` (first-order Gauss-Markov, held over a sample), parameters
 :mod:`benchmarks.other_vehicles.truth.detect` asks for single steps.
 
 Some effects are the same for every vehicle and are applied here, by keys such
-as ``"lag:rudder"``: ``deadband``, ``backlash``, ``gain``, ``offset``, ``zero`` (one
-per record) and ``lag`` of an input; ``sensor_lag``, ``scale`` and ``bias`` of an output.
+as ``"lag:rudder"``: ``deadband``, ``backlash``, ``offset``, ``zero`` (one per record) and ``lag``
+of an input; ``sensor_lag``, ``scale`` and ``bias`` of an output.
 """
 
 from __future__ import annotations
@@ -372,7 +372,7 @@ class Plant:
         return np.stack(rows)
 
     def effective(self, command: np.ndarray, play: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Commands after dead band, play, gain and offset; and the play's new position."""
+        """Commands after dead band, play and offset; and the play's new position."""
         rows, held = [], []
         for i, name in enumerate(self.vehicle.inputs):
             value = command[i]
@@ -381,7 +381,6 @@ class Plant:
             half = self.of(f"backlash:{name}")
             value = np.clip(play[i], value - half, value + half)
             held.append(value)
-            value = value * (1 + self.of(f"gain:{name}"))
             rows.append(value + self.of(f"offset:{name}") + self.of(f"zero:{name}"))
         return np.stack(rows), np.stack(held)
 
