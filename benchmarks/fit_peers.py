@@ -71,13 +71,12 @@ def run_peer(
     words: Sequence[str], data: Path, pythons: Sequence[str], longest: float = LONGEST
 ) -> Row | str:
     """What a peer found, or why it is left out; after so many seconds it is ended."""
-    said = "no interpreter"
+    found: Row | str = "no interpreter"
     for python in pythons:
         found = _run(words, data, python, longest)
         if isinstance(found, dict):
-            return found
-        said = found
-    return said
+            break
+    return found
 
 
 def _run(words: Sequence[str], data: Path, python: str, longest: float) -> Row | str:

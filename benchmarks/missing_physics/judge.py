@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -140,28 +139,28 @@ def datasets(problem: Problem, records: Sequence[Records]) -> tuple[Dataset, Dat
     return Dataset(found[: len(TRAIN)]), Dataset(found[len(TRAIN) :])
 
 
-def judge(draw: Draw, case: Case, records: Sequence[Records]) -> dict[str, Any]:
+def judge(draw: Draw, case: Case, records: Sequence[Records]) -> Row:
     """Improve the nominal model on one case, and compare with the truth."""
     problem = _problem()
     train, test = datasets(problem, records)
-    entry: dict[str, Any] = {
+    found, told = searched(problem.model, train, test, problem.effects)
+    entry: Row = {
         "key": draw.key,
         "hidden": draw.hidden,
         "condition": draw.condition,
         "effects": dict(case.effects),
+        **told,
     }
-    found, told = searched(problem.model, train, test, problem.effects)
-    entry |= told
     if found is None:
         return entry
     try:
-        entry |= {"nominal": nominal_runs(problem.model, train, test)}
+        entry["nominal"] = nominal_runs(problem.model, train, test)
         return entry | true_structure(problem, train, test, case, found)
     except Exception as error:  # a case that breaks is a result too
         return entry | {"error": f"{type(error).__name__}: {error}"}
 
 
-def nominal_runs(model: Model, train: Dataset, test: Dataset) -> dict[str, Any]:
+def nominal_runs(model: Model, train: Dataset, test: Dataset) -> Row:
     """What whole runs say of the nominal model, fitted as by default, and which values replay best.
 
     ``replay`` is the whole-run error on the test records with the values for runs, over that of the

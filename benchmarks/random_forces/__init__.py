@@ -10,18 +10,16 @@ the eight derivatives of ``remus_diving_plane`` drawn 9 % about the believed one
 forces move the fin's reversals, so a fit that takes what they do for sensor noise is biased, not
 only inefficient (``medium_clock`` shows the difference); white sensor noise as the problem
 declares it; first-order Gauss-Markov forces on X, Z and M. *Medium* is 0.1 N, 0.3 N and 0.06 N m
-with a time of 2 s. Runge-Kutta at 0.01 s, forces drawn at the same step. And a ship in yaw with a
-rudder zero of each record, known to the fitted model or not.
+with a time of 2 s. Runge-Kutta at 0.01 s (yaw: 0.1 s), forces drawn at the same step. And a ship in
+yaw with a rudder zero of each record, known to the fitted model or not.
 :data:`~benchmarks.random_forces.scenarios.SCENARIOS` lists all.
 
 **Fit** (:mod:`~benchmarks.random_forces.trial`). All eight derivatives are free, without priors,
 and start at the believed values.
 
-**Reference** (:mod:`~benchmarks.random_forces.reference`). It knows which kinds of noise act and
-starts at the truth; derivatives, start states, levels and times are estimated together by Fisher
-scoring on exact derivatives (differences of whole filters in SIMD lanes, ``filter.c``). Spiked
-samples it leaves out, a noisy log of the fin it knows for one, rudder zeros it always has. Its
-results are kept in ``reference.json``, one line a data set with a fingerprint of the data.
+**Reference** (:mod:`~benchmarks.random_forces.reference`). It starts at the truth; a noisy log of
+the fin it knows for one, rudder zeros it always has. Its results are kept in ``reference.json``,
+one line a data set with a fingerprint of the data.
 
 **Measures**, by scenario:
 

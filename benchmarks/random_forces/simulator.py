@@ -1,16 +1,11 @@
 r"""Simulated records, the truth: plain NumPy, no code of the package.
 
-Runge-Kutta of fourth order at 0.01 s (yaw: 0.1 s), commands held between
-samples; the disturbance forces are drawn at the same fine step from
+Commands are held between samples; the disturbance forces are drawn at the fine step from
 
 .. math:: w_{k+1} = \varphi w_k + \sigma \sqrt{1 - \varphi^2}\, \varepsilon_k,
     \qquad \varphi = e^{-\Delta t/\tau}
 
-beginning in their stationary distribution. The zigzag turns on the *measured*
-angle, so the commands depend on nothing that the records do not hold. All sets
-of a scenario are integrated side by side; a set does not depend on how many
-there are, and the draws of equal sets in different scenarios are the same up
-to their levels.
+beginning in their stationary distribution. All sets of a scenario are integrated side by side.
 """
 
 from __future__ import annotations
