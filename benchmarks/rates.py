@@ -113,7 +113,7 @@ def searched(
     model: Model,
     train: Dataset,
     test: Dataset,
-    candidates: Iterable[Effect] | None,
+    candidates: Sequence[Effect] | None,
     *,
     limit: float = 600.0,
 ) -> tuple[Improvement | None, Row]:
@@ -126,9 +126,7 @@ def searched(
     found, told = None, {}
     try:
         with at_most(limit):
-            found = improve(
-                model, train, test, candidates=None if candidates is None else list(candidates)
-            )
+            found = improve(model, train, test, candidates=candidates)
         told = read(found)
     except Exception as error:
         told = {"error": f"{type(error).__name__}: {error}", "traceback": places_of(error)}

@@ -299,10 +299,8 @@ def _integrated(
     clean = np.zeros((len(rows), n_times, 5))
 
     def command(k: int, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        if given is None:
-            inputs[:, k, 0], inputs[:, k, 1] = pilot(k, state[3]), thrust
-        else:
-            inputs[:, k] = given[:, k]
+        wanted = np.column_stack([pilot(k, state[3]), thrust]) if given is None else given[:, k]
+        inputs[:, k] = wanted
         return inputs[:, k, 0], inputs[:, k, 1]
 
     start = np.sqrt(thrust / -truth.derivatives["X_uu"]), np.full(len(rows), FIRST_DEPTH)

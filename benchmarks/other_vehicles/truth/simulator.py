@@ -41,10 +41,10 @@ def steps(levels: Sequence[tuple[float, float]]) -> Signal:
     (1.0, 2.0)
     """
 
-    def fresh() -> Pilot:
-        return lambda time, _: next((v for t, v in reversed(levels) if time >= t - 1e-9), 0.0)
+    def pilot(time: float, _: np.ndarray) -> float:
+        return next((v for t, v in reversed(levels) if time >= t - 1e-9), 0.0)
 
-    return fresh
+    return lambda: pilot
 
 
 def constant(value: float) -> Signal:
