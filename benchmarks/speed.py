@@ -280,12 +280,12 @@ def complex_step(job: Task, point: np.ndarray) -> np.ndarray:
     masses = [c[name] for name in ("m", "I_yy", "X_udot", "Z_wdot", "Z_qdot", "M_wdot", "M_qdot")]
     derivatives = [c[name] for name in NAMES]
 
-    def rate(order: np.ndarray, x: np.ndarray) -> np.ndarray:
+    def rate(x: np.ndarray, _: int, order: np.ndarray) -> np.ndarray:
         return np.stack(rates(x, order, derivatives, np.sin, np.cos, masses=masses))
 
     rows = [state.imag / tiny]
     for order in job.inputs[:-1]:
-        state = runge_kutta(lambda x, _, order=order: rate(order, x), state, STEP)
+        state = runge_kutta(rate, state, STEP, order)
         rows.append(state.imag / tiny)
     return np.stack(rows)
 

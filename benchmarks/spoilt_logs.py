@@ -75,19 +75,16 @@ class Craft:
         force = np.zeros(3)
         rows = np.empty((n, x.size))
         period = self.period * rng.uniform(0.8, 1.2)
+
+        def rate(y: np.ndarray, _: int, command: float, push: np.ndarray) -> np.ndarray:
+            return self.rates(y, command, push, speed)
+
         for k in range(n):
             rows[k] = x
             t = k * h
             command = self.angle * np.sign(np.sin(2.0 * np.pi * t / period))
             force += -force * h / 4.0 + np.sqrt(2.0 * h / 4.0) * rng.standard_normal(3)
-            push = np.array(self.force) * force
-
-            def rate(
-                y: np.ndarray, _: int, command: float = command, push: np.ndarray = push
-            ) -> np.ndarray:
-                return self.rates(y, command, push, speed)
-
-            x = runge_kutta(rate, x, h)
+            x = runge_kutta(rate, x, h, command, np.array(self.force) * force)
         return {name: rows[60 * FINER :, i] for i, name in enumerate(self.units)}
 
 

@@ -162,7 +162,7 @@ class Stranger:
                 span = (times[row], times[row] + self.sample)
                 state = solve_ivp(rates, span, state, args=(row,), rtol=1e-6, atol=1e-8).y[:, -1]
             else:
-                state = runge_kutta(lambda z, _, row=row: rates(0.0, z, row), state, self.sample)
+                state = runge_kutta(lambda z, _, at: rates(0.0, z, at), state, self.sample, row)
             if not np.all(np.abs(state) < 1e3):
                 return commands, np.full((SAMPLES, 2 * n), np.nan)
         return commands, np.column_stack([self._sensed(y, i, size) for i, y in enumerate(states.T)])

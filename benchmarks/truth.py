@@ -54,12 +54,15 @@ def rates(
     )
 
 
-def runge_kutta(rate: Callable[[Any, int], Any], x: Any, h: float) -> Any:
-    """One step of fourth order; the rate is told whether it is at the start, 1 middle or 2 end."""
-    first = rate(x, 0)
-    second = rate(x + h / 2 * first, 1)
-    third = rate(x + h / 2 * second, 1)
-    fourth = rate(x + h * third, 2)
+def runge_kutta(rate: Callable[..., Any], x: Any, h: float, *given: Any) -> Any:
+    """One step of fourth order; the rate is told whether it is at the start, 1 middle or 2 end.
+
+    What else is ``given`` is handed on to it.
+    """
+    first = rate(x, 0, *given)
+    second = rate(x + h / 2 * first, 1, *given)
+    third = rate(x + h / 2 * second, 1, *given)
+    fourth = rate(x + h * third, 2, *given)
     return x + h / 6 * (first + 2 * second + 2 * third + fourth)
 
 

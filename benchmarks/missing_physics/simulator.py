@@ -280,8 +280,8 @@ def integrate(
             angle, thrust = command(k, state)
             fin.command(angle)
             for sub in range(SUBSTEPS):
-                time = k * SAMPLE + sub * STEP
-                state = truth.advance(state, time, fin.advance(sub), thrust, forces[k])
+                given = k * SAMPLE + sub * STEP, fin.advance(sub), thrust, forces[k]
+                state = runge_kutta(truth.rate, state, STEP, *given)
                 yield None, state
 
 
@@ -364,30 +364,17 @@ class Truth:
         """Amplitude of an effect in every case."""
         return self.size.get(name, self.nothing)
 
-    def advance(
-        self,
-        state: np.ndarray,
-        time: float,
-        fin: Sequence[np.ndarray],
-        thrust: np.ndarray,
-        forces: np.ndarray,
-    ) -> np.ndarray:
-        """One Runge-Kutta step; ``fin`` at its start, middle and end."""
-
-        def rate(x: np.ndarray, stage: int) -> np.ndarray:
-            return self.rate(x, time + stage * STEP / 2, fin[stage], thrust, forces)
-
-        return runge_kutta(rate, state, STEP)  # type: ignore[no-any-return]
-
     def rate(
         self,
         state: np.ndarray,
-        time: float,
-        fin: np.ndarray,
+        stage: int,
+        begin: float,
+        fins: Sequence[np.ndarray],
         thrust: np.ndarray,
         forces: np.ndarray,
     ) -> np.ndarray:
-        """Time derivative of the state."""
+        """Time derivative of the state in a step from ``begin`` on; ``fins`` at all its stages."""
+        time, fin = begin + stage * STEP / 2, fins[stage]
         u, w, q, theta, z, memory, z_lagged, u_lagged, w_lagged = state
         sin, cos = np.sin(theta), np.cos(theta)
         forward, down = self.of("current_horizontal"), self.of("current_vertical")

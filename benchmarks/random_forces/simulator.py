@@ -234,6 +234,10 @@ def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
     clean = np.empty((n, *state.shape))
     inputs = np.empty((n, len(vehicle.inputs), width))
     command = _pilot(vehicle, [column.manoeuvre for column in columns])
+
+    def rate(x: np.ndarray, stage: int, held: np.ndarray, pushes: Sequence) -> np.ndarray:
+        return vehicle.rate(x, held, pushes[stage], values)
+
     for k in range(n):
         clean[k] = state
         inputs[k] = np.stack([command(k, state + noise[k]), thrust])[: inputs.shape[1]]
@@ -248,13 +252,7 @@ def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
                 place = place + h * (state[0] * ahead + state[1] * aside)
                 force[sub + 1] = crests((sub + 1) * h, place, heading + h * state[2])
             pushes = force[sub], 0.5 * (force[sub] + force[sub + 1]), force[sub + 1]
-
-            def rate(
-                x: np.ndarray, stage: int, k: int = k, pushes: tuple[np.ndarray, ...] = pushes
-            ) -> np.ndarray:
-                return vehicle.rate(x, inputs[k], pushes[stage], values)
-
-            state = runge_kutta(rate, state, h)
+            state = runge_kutta(rate, state, h, inputs[k], pushes)
     for i, column in enumerate(columns):
         column.force = force[: len(column.force), :, i]
     return [
