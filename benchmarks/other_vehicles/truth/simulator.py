@@ -102,7 +102,7 @@ Sizes = Mapping[str, "float | np.ndarray"]
 Rate = Callable[[np.ndarray, np.ndarray, Sizes, Sizes, np.ndarray], np.ndarray]
 Measure = Callable[[np.ndarray, Sizes, Sizes], np.ndarray]
 Settle = Callable[[np.ndarray, np.ndarray, np.ndarray, Sizes, Sizes, np.ndarray], np.ndarray]
-Derivative = Callable[[np.ndarray], np.ndarray]
+Derivative = Callable[..., np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -317,7 +317,7 @@ class Plant:
         )
 
     def derivative(self, effective: np.ndarray, forces: np.ndarray) -> Derivative:
-        """Right-hand side of the full state for held commands and forces."""
+        """Right-hand side of the full state for held commands and forces, alike at all stages."""
         vehicle, n = self.vehicle, len(self.vehicle.states)
         n_inputs = len(vehicle.inputs)
         lags = [self.of(f"lag:{name}") for name in vehicle.inputs]
@@ -325,7 +325,7 @@ class Plant:
         moving = [i for i, lag in enumerate(lags) if np.any(lag)]
         filtered = [i for i, lag in enumerate(late) if np.any(lag)]
 
-        def rate(full: np.ndarray) -> np.ndarray:
+        def rate(full: np.ndarray, _: int = 0) -> np.ndarray:
             done = np.zeros_like(full)
             acting = self.deflections(full, effective) if moving else effective
             done[:n] = vehicle.rate(full[:n], acting, self.parameters, self.hidden, forces)
@@ -346,7 +346,7 @@ class Plant:
         rate = self.derivative(effective, forces)
         if vehicle.integrator == "dop853":
             return _dop853(rate, full, vehicle.sample)
-        step = {"rk4": _rk4, "gragg": _gragg}[vehicle.integrator]
+        step = {"rk4": runge_kutta, "gragg": _gragg}[vehicle.integrator]
         count = round(vehicle.sample / vehicle.substep)
         n = len(vehicle.states)
         for _ in range(count):
@@ -383,10 +383,6 @@ class Plant:
             held.append(value)
             rows.append(value + self.of(f"offset:{name}") + self.of(f"zero:{name}"))
         return np.stack(rows), np.stack(held)
-
-
-def _rk4(rate: Derivative, x: np.ndarray, h: float) -> np.ndarray:
-    return runge_kutta(lambda y, _: rate(y), x, h)  # type: ignore[no-any-return]
 
 
 def _gragg(rate: Derivative, x: np.ndarray, h: float) -> np.ndarray:
