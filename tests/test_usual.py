@@ -23,7 +23,7 @@ from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import Sizes, equipped, settled
 from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.likelihood.captive import CaptiveTests
-from oed_sysid.likelihood.departures import other_way
+from oed_sysid.likelihood.departures import input_factors
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics import Force, Parameter, amplitude, quadratic_drag
@@ -455,7 +455,7 @@ def test_sign_and_unit_are_named_and_nothing_where_they_are_right(factor: float)
     assert fit.status.ok
     assert 2.0 * fit.cost < 1.1 * fit.n_observations
     assert fit.values["K"] == pytest.approx(factor * TRUE["K"], rel=0.05)
-    said = [concern for concern in fit.concerns if concern.kind == "other_way"]
+    said = [concern for concern in fit.concerns if concern.kind == "input_factor"]
     if factor == 1.0:
         assert not said
     else:
@@ -468,7 +468,7 @@ def test_one_start_value_of_the_wrong_sign_says_nothing() -> None:
     wrong = SHIP_WAY.with_values({"b": -0.015})
     fit = MultipleShooting().fit(wrong, runs())
     assert fit.values["b"] == pytest.approx(TRUE["b"], rel=0.1)
-    assert not [concern for concern in fit.concerns if concern.kind == "other_way"]
+    assert not [concern for concern in fit.concerns if concern.kind == "input_factor"]
 
 
 def test_search_says_so_as_well() -> None:
@@ -479,12 +479,12 @@ def test_search_says_so_as_well() -> None:
     found = improve(SHIP_WAY, train, test, candidates=[absent])
     assert not found.steps
     nominal = {p.name: p.value for p in SHIP_WAY.free_parameters}
-    (said,) = other_way(found.fit, nominal)
+    (said,) = input_factors(found.fit, nominal)
     assert said.factor == -1.0
     assert set(said.values) == {"K", "b"}
     assert found.remains.kind == "log suspect"
     assert found.log is not None
-    assert [f.says for f in found.log.findings if f.kind == "other_way"] == [said.text]
+    assert [f.says for f in found.log.findings if f.kind == "input_factor"] == [said.text]
 
 
 @pytest.mark.parametrize("name", ["remus_diving_plane", "catamaran"])
@@ -493,7 +493,7 @@ def test_published_problems_act_as_they_say(name: str) -> None:
     problem = load_problem(name)
     fit = MultipleShooting(disturbances="none").fit(problem.model, problem.data())
     assert fit.status.code in ("converged", "stalled", "iterations")
-    assert not other_way(fit, problem.model.values)
+    assert not input_factors(fit, problem.model.values)
 
 
 NOISE, CROSSFLOW = 0.3, -60.0

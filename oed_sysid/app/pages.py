@@ -245,11 +245,11 @@ def _of_trials(study: Study) -> dict[str, Any]:
         )
     effects = [effect.name for effect in study.effects]
     runs = list(study.problem.experiments)
-    return {"like": runs, "patterns": runs, "discriminate": effects, "reveal": effects}
+    return {"like": runs, "patterns": runs, "discriminate": effects, "detect": effects}
 
 
 def _design(study: Study, known: dict[str, Any]) -> None:
-    names = "like duration effort family discriminate reveal criterion sea certainty"
+    names = "like duration effort family discriminate detect criterion sea certainty"
     options = _ask_all("design", study, names, _of_trials(study))
     limits = tuple(_limits(study, options["like"]))
     outcome = result_of(study, "design", {**options, **known, "limit": limits}, "Design")
@@ -272,7 +272,7 @@ def commands_csv(outcome: Outcome, study: Study) -> bytes:
 def _programme(study: Study, known: dict[str, Any]) -> None:
     """Plan several runs together."""
     offers = _of_trials(study)
-    names = "runs hours turnaround criterion patterns discriminate reveal sea"
+    names = "runs hours turnaround criterion patterns discriminate detect sea"
     options = _ask_all("programme", study, names, offers)
     options["runs"] = options["runs"] or 4
     outcome = result_of(study, "programme", {**options, **known}, "Plan the runs")

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from oed_sysid.experiments.problem import Problem
 
 # Older words that are still understood: for an option, or for the files after the problem.
-OLDER = {"--test": "--validate", "--train": "", "--records": ""}
+OLDER = {"--test": "--validate", "--train": "", "--records": "", "--reveal": "--detect"}
 # Keys under which a call keeps what the shared options say.
 QUIET, TIME_UNIT, FORM = (f"oed_sysid.{name}" for name in ("quiet", "time_unit", "form"))
 _LIMITS = "oed_sysid.limits"

@@ -65,22 +65,22 @@ class Aim:
 
     criterion: str = "D"
     discriminate: tuple[str, ...] = ()
-    reveal: tuple[str, ...] = ()
+    detect: tuple[str, ...] = ()
 
     def made(self, study: Study) -> Any:
         """Return the criterion of the design."""
         from oed_sysid.design import Detect, Discriminate
         from oed_sysid.design.choices import CRITERIA, named
 
-        if self.discriminate and self.reveal:
-            raise DesignError("Give --discriminate or --reveal: one run has one aim.")
-        if not (self.discriminate or self.reveal):
+        if self.discriminate and self.detect:
+            raise DesignError("Give --discriminate or --detect: one run has one aim.")
+        if not (self.discriminate or self.detect):
             return named("criterion", self.criterion, CRITERIA)()
         problem = study.equipped
         if self.discriminate:
             return Discriminate([problem.effect(rival) for rival in self.discriminate])
-        if self.reveal != ("all",):
-            return Detect([problem.effect(one) for one in self.reveal])
+        if self.detect != ("all",):
+            return Detect([problem.effect(one) for one in self.detect])
         if not problem.effects:
             raise DesignError(f"Problem {problem.name!r} has no candidate effect. Name none.")
         return Detect(problem.effects)

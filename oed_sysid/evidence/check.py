@@ -60,7 +60,7 @@ from oed_sysid.evidence.result import (
 from oed_sysid.evidence.screens import Fault, jitter, marked, screened
 from oed_sysid.evidence.traces import Trace, units_of
 from oed_sysid.experiments.problem import Problem
-from oed_sysid.likelihood.departures import other_way
+from oed_sysid.likelihood.departures import input_factors
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.likelihood.whole_runs import whole_runs
@@ -401,14 +401,14 @@ def with_estimates(
     -------
     LogCheck
         Suspect as well where values are many prior deviations away (``far``) or an input acts
-        otherwise than the start values say (``other_way``); with parameters that are others in
+        otherwise than the start values say (``input_factor``); with parameters that are others in
         single records (``run``).
     """
     begun = nominal or fit.nominal
     findings = _left(log, fit, records or fit.dataset, claimed, begun)
-    for one in other_way(fit, begun) if fit.status.ok else ():
+    for one in input_factors(fit, begun) if fit.status.ok else ():
         row = {"says": one.text, "name": one.channel.name}
-        findings.append(words.said("other_way", (one.channel.name,), log.records, row))
+        findings.append(words.said("input_factor", (one.channel.name,), log.records, row))
     findings += [*_far(fit, log.records), *scaled_inputs(fit), *between_runs(fit)]
     return replace(log, findings=tuple(_ordered(findings)))
 

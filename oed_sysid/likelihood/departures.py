@@ -337,7 +337,7 @@ SAME = 0.1
 
 
 @dataclass(frozen=True)
-class OtherWay:
+class InputFactor:
     """An input that acts otherwise than the start values say.
 
     Attributes
@@ -375,7 +375,7 @@ class OtherWay:
         )
 
 
-def other_way(fit: Estimate, nominal: Mapping[str, float]) -> tuple[OtherWay, ...]:
+def input_factors(fit: Estimate, nominal: Mapping[str, float]) -> tuple[InputFactor, ...]:
     """Inputs that act with another sign or in another unit than the start values say.
 
     Parameters
@@ -398,7 +398,7 @@ def other_way(fit: Estimate, nominal: Mapping[str, float]) -> tuple[OtherWay, ..
 
 def _otherwise(
     fit: Estimate, column: int, ratios: Mapping[str, float], nominal: Mapping[str, float]
-) -> OtherWay | None:
+) -> InputFactor | None:
     """How an input acts other than expected: reversed, or in another unit."""
     channel = fit.model.inputs[column]
     loose = [name for name in fit.names if name not in ratios]
@@ -407,7 +407,7 @@ def _otherwise(
         moved = [name for name, ratio in ratios.items() if 1.0 / most < ratio / factor < most]
         if moved and _is_the_same(fit, column, factor, moved, loose):
             values = {name: (float(fit.values[name]), nominal[name]) for name in moved}
-            return OtherWay(channel, factor, unit, values)
+            return InputFactor(channel, factor, unit, values)
     return None
 
 

@@ -63,7 +63,7 @@ from oed_sysid.likelihood.departures import (
     change_of_outputs,
     clear_departure,
     clear_starts,
-    other_way,
+    input_factors,
     outputs_of,
 )
 from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate, once_a_fit
@@ -116,7 +116,7 @@ class Concern:
     kind : str
         ``noise_level``, ``autocorrelation``, ``narrow_band``, ``spikes``, ``delay``, ``offset``,
         ``scale``, ``actuator_start``, ``per_record_follows``, ``records_differ``,
-        ``input_noise``, ``other_way``, ``absorbed``, ``process_noise``, ``constraint``,
+        ``input_noise``, ``input_factor``, ``absorbed``, ``process_noise``, ``constraint``,
         ``integration``, ``finer_step``, ``runaway``, ``degenerate`` or ``few_samples``.
     signal : str
         Output, input, state or parameter; empty where it is the whole fit.
@@ -127,7 +127,7 @@ class Concern:
         (``autocorrelation``), a number of samples (``spikes``), seconds (``delay``,
         ``narrow_band``), the unit of the signal (``offset``, ``actuator_start``), a share
         (``scale``), a correlation (``per_record_follows``), a factor of the standard error
-        (``records_differ``), the true input over the logged one (``other_way``), noise levels
+        (``records_differ``), the true input over the logged one (``input_factor``), noise levels
         (``integration``, ``input_noise``), multiples of the scale (``runaway``) or of the signal
         (``degenerate``), samples per unknown (``few_samples``), standard errors (``constraint``,
         ``finer_step``), the score test's 2 delta ln L (``process_noise``).
@@ -541,10 +541,10 @@ def _with_input_noise(
     return outputs_of(fit, index, moved)
 
 
-def _other_way(fit: Estimate) -> Iterator[Found]:
+def _input_factors(fit: Estimate) -> Iterator[Found]:
     """Inputs that act reversed, or in another unit, than the start values say."""
     if fit.status.ok and fit.nominal:
-        for one in other_way(fit, fit.nominal):
+        for one in input_factors(fit, fit.nominal):
             yield Found(one.factor, one.channel.name, facts={"text": one.text})
 
 
@@ -800,7 +800,7 @@ CHECKS = (
         "errors). Standard errors are of values within it; where the records are right about it, "
         "widen it, else look for what bends them.",
     ),
-    Check("other_way", _other_way, "see departures.other_way", "{text}"),
+    Check("input_factor", _input_factors, "see departures.input_factors", "{text}"),
     Check(
         "records_differ", _records_differ, "a chance of 1 %; see between_records.exceeds",
         "Estimates scatter between the {n} records by more than their "
