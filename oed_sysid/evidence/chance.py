@@ -19,7 +19,9 @@ from oed_sysid.likelihood.between_records import CHANCE
 FALSE_CLAIMS = CHANCE
 
 
-def threshold(n_candidates: int, freedom: int, *, trials: float = 1.0) -> float:
+def threshold(
+    n_candidates: int, freedom: int, share: float = FALSE_CLAIMS, *, trials: float = 1.0
+) -> float:
     """Likelihood-ratio statistic that chance exceeds rarely, however many candidates.
 
     ``trials`` counts the frequencies of which a candidate takes the best.
@@ -29,7 +31,7 @@ def threshold(n_candidates: int, freedom: int, *, trials: float = 1.0) -> float:
     >>> round(threshold(40, 1), 1)
     13.4
     """
-    return float(chdtri(freedom, FALSE_CLAIMS / (max(n_candidates, 1) * max(trials, 1.0))))
+    return float(chdtri(freedom, share / (max(n_candidates, 1) * max(trials, 1.0))))
 
 
 def clear_score(n_questions: int) -> float:
