@@ -85,8 +85,8 @@ def test_motion_that_wanders_makes_no_law(monkeypatch: pytest.MonkeyPatch) -> No
         np.full(6, NOISE), np.zeros(6), np.full(3, LEVEL), TIME, TIME, ADRIFT.output_names, places
     )
     away: dict[str, list[float]] = {"plain": [], "corrected": []}
-    for way, usual in (("plain", lambda *_: {}), ("corrected", laws_module._usual)):
-        monkeypatch.setattr(laws_module, "_usual", usual)
+    for way, usual in (("plain", lambda *_: {}), ("corrected", laws_module._End.usual)):
+        monkeypatch.setattr(laws_module._End, "usual", usual)
         for seed in range(8):
             problem = Filtered(ADRIFT, adrift(seed), Levels.of(noise, noise).held())
             found = laws(problem, problem.point([np.zeros(6)] * 2).unknowns)

@@ -151,68 +151,106 @@ def laws(problem: Filtered, unknowns: np.ndarray) -> tuple[Law, ...] | None:
         None where it cannot be asked: the filter diverges, or nothing moves.
     """
     try:
-        passes, paths = smoothable(problem, unknowns)
+        end = _End(problem, unknowns, *smoothable(problem, unknowns))
     except SimulationError:
         return None
-    asked, owners = _asked(problem, unknowns, passes, paths)
+    asked, owners = end.asked()
     if not owners.size:
         return None
     each = (replace(one, chance=RARE / len(asked)) for one in asked)
     if standing := [one for one in each if one.stands]:
-        usual = _usual(problem, unknowns, passes, paths, standing)
+        usual = end.usual(standing)
         standing = [replace(one, usual=usual.get(one.place, 1.0)) for one in standing]
     return tuple(one.law(owners) for one in standing if one.stands)
 
 
-def _asked(
-    problem: Filtered,
-    unknowns: np.ndarray,
-    passes: Sequence[FilterPass],
-    paths: Sequence[Path],
-    places: Container[str] | None = None,
-) -> tuple[list[_Asked], np.ndarray]:
-    """Places that act, all or some, and whose each function is; none where nothing moves."""
-    features, owners = _features(problem, passes)
-    if not owners.size:
-        return [], owners
-    matrix, right = problem.gathered(unknowns, passes)
-    equations = problem.limits.with_priors(matrix, right, unknowns)
-    return [
-        _Asked.of(problem, unknowns, passes, equations, place, len(owners), responses)
-        for place, responses in _responses(problem, unknowns, paths, features)
-        if places is None or place in places
-    ], owners
+@dataclass(frozen=True, eq=False)
+class _End:
+    """Where an estimation ended, and what can be asked there of one place after the other."""
 
+    problem: Filtered
+    unknowns: np.ndarray
+    passes: Sequence[FilterPass]
+    paths: Sequence[Path]
 
-def _usual(
-    problem: Filtered,
-    unknowns: np.ndarray,
-    passes: Sequence[FilterPass],
-    paths: Sequence[Path],
-    standing: Sequence[_Asked],
-) -> dict[str, float]:
-    """Mean statistic over its freedom by chance, of every place that stands; one at least."""
-    rng, found = np.random.default_rng(0), {one.place: list[float]() for one in standing}
-    for count in range(1, DRAWS + 1):
-        drawn = [_drawn(problem, part, rng) for part in passes]
-        for one in _told(problem, unknowns, drawn, paths, found):
-            found[one.place].append(one.statistic() / one.freedom)
-        if count >= FEWEST_DRAWS and all(one.clear(found[one.place]) for one in standing):
-            break
-    return {place: max(float(np.mean(few)), 1.0) for place, few in found.items() if few}
+    def asked(self, places: Container[str] | None = None) -> tuple[list[_Asked], np.ndarray]:
+        """Places that act, all or some, and whose each function is; none where nothing moves."""
+        features, owners = _features(self.problem, self.passes)
+        if not owners.size:
+            return [], owners
+        matrix, right = self.problem.gathered(self.unknowns, self.passes)
+        equations = self.problem.limits.with_priors(matrix, right, self.unknowns)
+        return [
+            self._one(place, responses, equations, len(owners))
+            for place, responses in self._responses(features)
+            if places is None or place in places
+        ], owners
 
+    def usual(self, standing: Sequence[_Asked]) -> dict[str, float]:
+        """Mean statistic over its freedom by chance, of every place that stands; one at least."""
+        rng, found = np.random.default_rng(0), {one.place: list[float]() for one in standing}
+        for count in range(1, DRAWS + 1):
+            for one in self._drawn(rng, found):
+                found[one.place].append(one.statistic() / one.freedom)
+            if count >= FEWEST_DRAWS and all(one.clear(found[one.place]) for one in standing):
+                break
+        return {place: max(float(np.mean(few)), 1.0) for place, few in found.items() if few}
 
-def _told(
-    problem: Filtered,
-    unknowns: np.ndarray,
-    drawn: Sequence[FilterPass],
-    paths: Sequence[Path],
-    places: Container[str],
-) -> list[_Asked]:
-    """Some places, where drawn records tell something of them; none where one is lost."""
-    if not all(np.isfinite(part.path).all() for part in drawn):
-        return []
-    return [one for one in _asked(problem, unknowns, drawn, paths, places)[0] if one.freedom]
+    def _drawn(self, rng: np.random.Generator, places: Container[str]) -> list[_Asked]:
+        """Some places, where drawn records tell something of them; none where one is lost."""
+        drawn = [_drawn(self.problem, part, rng) for part in self.passes]
+        if not all(np.isfinite(part.path).all() for part in drawn):
+            return []
+        return [one for one in replace(self, passes=drawn).asked(places)[0] if one.freedom]
+
+    def _responses(
+        self, features: Sequence[np.ndarray]
+    ) -> Iterator[tuple[str, Iterator[np.ndarray]]]:
+        """Every place that acts, and whitened innovations by the functions there, per record."""
+        noise, levels = self.problem.noise(self.unknowns), self.problem.levels
+        acting = _acting(noise, levels.disturbances)
+        pairs = [*zip(self.paths, features, strict=True)]
+        # Of one record at a time: columns of long records are large.
+        for place, at in acting.items():
+            yield (
+                place,
+                (path.responses(path.drive[:, :, at, None] * own[:, None]) for path, own in pairs),
+            )
+        for at, column in enumerate(() if acting else levels.coloured):
+            lasts = float(noise.colour_time[column])
+            found = (
+                path.responses(_of_colour(path, own, record.times, lasts, at))
+                for record, (path, own) in zip(self.problem.records, pairs, strict=True)
+            )
+            yield f"{SLOW}{noise.outputs[column]}", found
+
+    def _one(
+        self,
+        place: str,
+        responses: Iterable[np.ndarray],
+        equations: tuple[np.ndarray, np.ndarray],
+        n_functions: int,
+    ) -> _Asked:
+        """Ask one place; ``responses`` are the whitened innovations by each function."""
+        n = len(self.unknowns)
+        cross, own = np.zeros((n, n_functions)), np.zeros((n_functions, n_functions))
+        slope, squares, count = np.zeros(n_functions), 0.0, 0
+        for index, (part, moved) in enumerate(zip(self.passes, responses, strict=True)):
+            seen = np.isfinite(part.innovations)
+            white = part.innovations[seen] / np.sqrt(part.variances[seen])
+            where, size = self.problem.columns_of(self.unknowns, index)
+            assert part.rows is not None
+            rows, columns = part.rows[seen][:, : len(where)], moved[seen]
+            cross[where] += size[:, None] * (rows.T @ columns)
+            own += columns.T @ columns
+            slope -= columns.T @ white
+            squares, count = squares + float(white @ white), count + len(white)
+        open_ = self.problem.open_unknowns(0)
+        share = cross[open_].T @ inverse_of(equations[0][np.ix_(open_, open_)])
+        scatter = max(squares / max(count, 1), 1.0)
+        score = slope - share @ equations[1][open_]
+        size = np.sqrt(np.diag(own) / scatter)
+        return _Asked(place, score / scatter, (own - share @ cross[open_]) / scatter, size)
 
 
 def _drawn(problem: Filtered, part: FilterPass, rng: np.random.Generator) -> FilterPass:
@@ -251,38 +289,6 @@ class _Asked:
     size: np.ndarray
     usual: float = 1.0
     chance: float = RARE
-
-    @classmethod
-    def of(
-        cls,
-        problem: Filtered,
-        unknowns: np.ndarray,
-        passes: Sequence[FilterPass],
-        equations: tuple[np.ndarray, np.ndarray],
-        place: str,
-        n_functions: int,
-        responses: Iterable[np.ndarray],
-    ) -> _Asked:
-        """Ask one place; ``responses`` are the whitened innovations by each function."""
-        n = len(unknowns)
-        cross, own = np.zeros((n, n_functions)), np.zeros((n_functions, n_functions))
-        slope, squares, count = np.zeros(n_functions), 0.0, 0
-        for index, (part, moved) in enumerate(zip(passes, responses, strict=True)):
-            seen = np.isfinite(part.innovations)
-            white = part.innovations[seen] / np.sqrt(part.variances[seen])
-            where, size = problem.columns_of(unknowns, index)
-            assert part.rows is not None
-            rows, columns = part.rows[seen][:, : len(where)], moved[seen]
-            cross[where] += size[:, None] * (rows.T @ columns)
-            own += columns.T @ columns
-            slope -= columns.T @ white
-            squares, count = squares + float(white @ white), count + len(white)
-        open_ = problem.open_unknowns(0)
-        share = cross[open_].T @ inverse_of(equations[0][np.ix_(open_, open_)])
-        scatter = max(squares / max(count, 1), 1.0)
-        score = slope - share @ equations[1][open_]
-        size = np.sqrt(np.diag(own) / scatter)
-        return cls(place, score / scatter, (own - share @ cross[open_]) / scatter, size)
 
     def statistic(self, chosen: np.ndarray | slice = slice(None)) -> float:
         """What the best of some functions would gain in twice the log-likelihood."""
@@ -328,30 +334,6 @@ class _Asked:
         # Two signals only where they leave clearly less than the better of them.
         both = whole - pair[0] < CLEARLY * (whole - alone[0])
         return Law(self.place, (pair if both else alone)[1], whole, self.freedom, self.needed)
-
-
-def _responses(
-    problem: Filtered,
-    unknowns: np.ndarray,
-    paths: Sequence[Path],
-    features: Sequence[np.ndarray],
-) -> Iterator[tuple[str, Iterator[np.ndarray]]]:
-    """Every place that acts, and the whitened innovations by the functions there, per record."""
-    noise, levels = problem.noise(unknowns), problem.levels
-    acting, pairs = _acting(noise, levels.disturbances), [*zip(paths, features, strict=True)]
-    # Of one record at a time: columns of long records are large.
-    for place, at in acting.items():
-        yield (
-            place,
-            (path.responses(path.drive[:, :, at, None] * own[:, None]) for path, own in pairs),
-        )
-    for at, column in enumerate(() if acting else levels.coloured):
-        lasts = float(noise.colour_time[column])
-        found = (
-            path.responses(_of_colour(path, own, record.times, lasts, at))
-            for record, (path, own) in zip(problem.records, pairs, strict=True)
-        )
-        yield f"{SLOW}{noise.outputs[column]}", found
 
 
 def _acting(noise: NoiseModel, disturbances: Sequence[str]) -> dict[str, int]:
