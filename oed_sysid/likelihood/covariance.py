@@ -59,7 +59,7 @@ from oed_sysid.likelihood.information import (
     COLOUR_LIMIT,
     Information,
     coloured_score_covariance,
-    effective_sample_size,
+    counted_samples,
     own_samples,
 )
 from oed_sysid.likelihood.noise_levels import RARE
@@ -156,8 +156,7 @@ class Scores:
     def _leverage(self, white: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Degrees of freedom and sums of squares of tests by output, and their ``H = J C J'``."""
         rows, errors = self.tests
-        finite = np.isfinite(np.diag(white))
-        taken = rows @ np.where(np.outer(finite, finite), white, 0.0) @ rows.transpose(0, 2, 1)
+        taken = rows @ np.where(np.isfinite(white), white, 0.0) @ rows.transpose(0, 2, 1)
         freedom = np.isfinite(errors).sum(axis=0) - np.einsum("tii->i", taken)
         return freedom, np.nansum(errors**2, axis=0), taken
 
@@ -194,11 +193,8 @@ class Scores:
     def white(self) -> np.ndarray:
         """Covariance of the summed scores of all series, were their errors white."""
         n_shared = self.jacobians[0].shape[2]
-        middle = np.zeros((n_shared, n_shared))
-        for index in self.series:
-            flat = self.jacobians[index].reshape(-1, n_shared)
-            middle += flat.T @ flat
-        return middle
+        flat = [self.jacobians[index].reshape(-1, n_shared) for index in self.series]
+        return sum((one.T @ one for one in flat), np.zeros((n_shared, n_shared)))
 
     def coloured(self, memory: float | None = None) -> np.ndarray:
         """The same from the autocovariances of the errors, over ``memory`` seconds where given."""
@@ -327,7 +323,7 @@ class ReducedProblem:
     @property
     def _lost_freedom(self) -> float:
         """How much the fit has shrunk the residuals' variance, by independent samples."""
-        count = sum(effective_sample_size(c) for s in self._series for c in s.T if _counts(c))
+        count = sum(some for _, some in counted_samples(self._series))
         # n / (n - p) of least squares, with independent samples for n.
         return min(count / max(count - self.shooting.n_unknowns, 1.0), MOST_LOST)
 
@@ -365,20 +361,11 @@ class ReducedProblem:
         return sandwich(white, middle + self._prior)
 
 
-def _counts(column: np.ndarray) -> bool:
-    """Whether a series is long enough for its correlation to be estimated."""
-    return int(np.isfinite(column).sum()) > 20
-
-
 def is_coloured(residuals: Sequence[np.ndarray]) -> bool:
     """Whether residuals count fewer independent samples than a share of their number."""
-    effective = total = 0.0
-    for residual in residuals:
-        for column in residual.T:
-            if _counts(column):
-                effective += effective_sample_size(column)
-                total += int(np.isfinite(column).sum())
-    return total > 0 and effective < COLOUR_LIMIT * total
+    found = [*counted_samples(residuals)]
+    total = sum(len(seen) for seen, _ in found)
+    return total > 0 and sum(some for _, some in found) < COLOUR_LIMIT * total
 
 
 def _scores(
@@ -803,11 +790,10 @@ def _summed(rows: np.ndarray) -> np.ndarray:
 def _inflation(problem: Windows, point: Point) -> float:
     """Mean square of the residuals in units of the noise, times samples per independent one."""
     shooting = problem.shooting
-    ratios = []
-    for record, residual in zip(shooting.records, problem.residuals(point), strict=True):
-        for column in (residual / shooting.sigma).T:
-            seen = column[np.isfinite(column)]
-            if len(seen) > 10 and not record.independent:
-                mean_square = float(np.mean(seen**2))
-                ratios.append(mean_square * len(seen) / effective_sample_size(column))
+    series = [
+        residual / shooting.sigma
+        for record, residual in zip(shooting.records, problem.residuals(point), strict=True)
+        if not record.independent
+    ]
+    ratios = [np.mean(seen**2) * len(seen) / some for seen, some in counted_samples(series, 10)]
     return max(float(np.mean(ratios)) if ratios else 0.0, 1.0)

@@ -7,7 +7,7 @@ inverted matrix would only show large numbers.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -192,6 +192,19 @@ def effective_sample_size(series: np.ndarray) -> float:
     return float(np.clip(n / max(1.0 + 2.0 * total, 1e-12), 1.0, n))
 
 
+def counted_samples(
+    residuals: Iterable[np.ndarray], fewest: int = 20
+) -> Iterator[tuple[np.ndarray, float]]:
+    """Samples of every output and record with more than some, and how many are independent.
+
+    Of fewer the correlation cannot be estimated.
+    """
+    for column in (column for residual in residuals for column in residual.T):
+        seen = column[np.isfinite(column)]
+        if len(seen) > fewest:
+            yield seen, effective_sample_size(column)
+
+
 @dataclass(frozen=True)
 class Whiteness:
     """Portmanteau test of one series.
@@ -350,12 +363,7 @@ def _stable(recursion: np.ndarray) -> np.ndarray:
 
 def _taper_length(residuals: Sequence[np.ndarray]) -> int:
     """Lag where the slowest output's correlation has faded, times a margin."""
-    longest = 1.0
-    for residual in residuals:
-        for column in residual.T:
-            n = np.isfinite(column).sum()
-            if n > 20:
-                longest = max(longest, n / effective_sample_size(column))
+    longest = max([1.0, *(len(seen) / some for seen, some in counted_samples(residuals))])
     shortest = min(len(residual) for residual in residuals)
     return int(np.clip(4 * longest, 1, max(2, shortest // 4)))
 
