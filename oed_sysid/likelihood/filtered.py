@@ -35,7 +35,6 @@ from oed_sysid.likelihood.disturbances import DISTURBANCE, Place, disturbance
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel, step_within
 from oed_sysid.likelihood.shooting import Follows, Point
 from oed_sysid.likelihood.unknowns import KnownStarts, Posed
-from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.threads import both_cores
 
@@ -174,13 +173,11 @@ class Filtered(Posed):
         # Clear of zero: by more than a standard error, which the matrix states.
         clear = variance & (here * np.sqrt(np.diag(matrix)[block]) > 1.0)
         lower, upper = lower.copy(), upper.copy()
+        longer = [NEXT_PERIOD if kind == SEA_PERIOD else LONGER for kind, _ in self.levels.entries]
         least = np.where(clear, (1.0 / FARTHEST - 1.0) * here, -np.inf)
         most = np.where(clear, (FARTHEST - 1.0) * here, np.inf)
-        longer = [NEXT_PERIOD if kind == SEA_PERIOD else LONGER for kind, _ in self.levels.entries]
-        least = np.where(variance, least, -np.log(longer))
-        most = np.where(variance, most, np.log(longer))
-        lower[block] = np.maximum(lower[block], least)
-        upper[block] = np.minimum(upper[block], most)
+        lower[block] = np.maximum(lower[block], np.where(variance, least, -np.log(longer)))
+        upper[block] = np.minimum(upper[block], np.where(variance, most, np.log(longer)))
         return lower, upper
 
     def prior_cost(self, unknowns: np.ndarray) -> float:
@@ -275,9 +272,11 @@ class Filtered(Posed):
             "moves": moves,
         }
 
+        given = {"measured": measured, "beyond": beyond}
+
         def one(index: int) -> FilterPass:
-            own = (None if given is None else given[index] for given in (measured, beyond))
-            return self._pass(unknowns, index, noise, wanted, *own)
+            own = {name: parts[index] for name, parts in given.items() if parts is not None}
+            return self._pass(unknowns, index, noise, wanted, own)
 
         return both_cores(one, range(len(self.records)))
 
@@ -287,23 +286,15 @@ class Filtered(Posed):
         index: int,
         noise: Disturbed,
         wanted: Mapping[str, Any],
-        measured: np.ndarray | None = None,
-        beyond: np.ndarray | None = None,
+        given: Mapping[str, Any],
     ) -> FilterPass:
-        """Filter one record."""
-        along = self._along(unknowns, index, noise, measured, passing=self.passing)
-        part = self.kernel.filter(replace(along, beyond=beyond), **wanted)
+        """Filter one record, with other measurements or limits of innovations where given."""
+        along = replace(self._along(unknowns, index, noise), passing=self.passing, **given)
+        part = self.kernel.filter(along, **wanted)
         independent = self.records[index].independent
         return _white_alone(part, self.levels.entries) if independent else part
 
-    def _along(
-        self,
-        unknowns: np.ndarray,
-        index: int,
-        noise: Disturbed,
-        measured: np.ndarray | None = None,
-        passing: Sequence[int] | np.ndarray = (),
-    ) -> Along:
+    def _along(self, unknowns: np.ndarray, index: int, noise: Disturbed) -> Along:
         """One record, with the model and the noise along it."""
         record = self.records[index]
         if record.independent:  # nothing links its samples
@@ -314,10 +305,9 @@ class Filtered(Posed):
             record.inputs,
             self.values(unknowns, index),
             self.initial_state(unknowns, index),
-            record.outputs if measured is None else measured,
+            record.outputs,
             noise,
             self.active,
-            passing,
             longest_step=step_within(record.times, self.longest_hold),
         )
 
@@ -405,14 +395,12 @@ class Filtered(Posed):
         std : ndarray (n_unknowns,)
             Sizes of the differences.
         """
-        n, layout = self.layout.n_unknowns, self.layout
-        n_own, n_levels = layout.n_own, len(self.levels)
-        width = n_own + len(layout.free_names)
-        tail = np.arange(layout.levels.start, layout.levels.stop)
+        n, n_own, n_levels = self.layout.n_unknowns, self.layout.n_own, len(self.levels)
+        width = n_own + len(self.layout.free_names)
         matrix, right = np.zeros((n, n)), np.zeros(n)
         moved = self._moved(unknowns, std)
         for index, (columns, part) in enumerate(zip(self._columns, base, strict=True)):
-            where = np.concatenate([columns, tail])
+            where, _ = self.columns_of(unknowns, index)
             seen = np.isfinite(part.innovations)
             root = np.sqrt(part.variances[seen])
             # Of a scalar innovation: -ln L = (e^2/S + ln S) / 2, whose expected information is
@@ -425,7 +413,7 @@ class Filtered(Posed):
             spread = np.zeros_like(slope)
             spread[:, width:] = rows[:, width + n_levels :] * self.levels.scale
             for position, column in enumerate(columns[n_own:], start=n_own):
-                other, length = moved[column][index], std[column]
+                other, length = moved[column, index], std[column]
                 slope[:, position] = (other.innovations[seen] - part.innovations[seen]) / (
                     root * length
                 )
@@ -437,7 +425,7 @@ class Filtered(Posed):
         self._add_knowledge(unknowns, matrix, right)
         return matrix, right
 
-    def _moved(self, unknowns: np.ndarray, std: np.ndarray) -> dict[int, dict[int, FilterPass]]:
+    def _moved(self, unknowns: np.ndarray, std: np.ndarray) -> dict[tuple[int, int], FilterPass]:
         """Passes with each parameter moved, by unknown and record.
 
         By one standard deviation, others known: a smaller step says no more of a smooth model, and
@@ -454,12 +442,9 @@ class Filtered(Posed):
             column, index = job
             shifted = unknowns.copy()
             shifted[column] += std[column]
-            return self._pass(shifted, index, noise, {"own_columns": False})
+            return self._pass(shifted, index, noise, {"own_columns": False}, {})
 
-        found: dict[int, dict[int, FilterPass]] = {}
-        for (column, index), part in zip(jobs, both_cores(one, jobs), strict=True):
-            found.setdefault(column, {})[index] = part
-        return found
+        return dict(zip(jobs, both_cores(one, jobs), strict=True))
 
 
 def _white_alone(part: FilterPass, entries: Sequence[tuple[int, int]]) -> FilterPass:
@@ -489,17 +474,12 @@ def disturbed_model(model: Model, disturbances: Sequence[str]) -> Model:
 
     Random effects that the model holds already are only let loose.
     """
-    effects: list[Effect] = []
-    disturbances = tuple(dict.fromkeys(disturbances))
-    present = [name for name in disturbances if name in model.parameter_names]
+    names = dict.fromkeys(disturbances)
+    present = [name for name in names if name in model.parameter_names]
     if present:  # a model that is built anew is checked anew
         model = model.free(*present)
-    for name in disturbances:
-        if name in present:
-            continue
-        stage, _, signal = name.removeprefix("disturbance_").partition("_")
-        effects.append(disturbance(Place(stage, signal)))
-    return model + effects
+    absent = (name.removeprefix(DISTURBANCE) for name in names if name not in present)
+    return model + [disturbance(Place(*name.split("_", 1))) for name in absent]
 
 
 def active_components(wide: Model, model: Model, *, passing: bool = False) -> np.ndarray:
