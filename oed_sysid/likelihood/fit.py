@@ -141,7 +141,27 @@ class Fit(estimate.Estimate):
     @classmethod
     def of_saved(cls, **content: Any) -> Fit:
         """Build a fit of the fields of a file; of version 0.1 some were told in ``extras``."""
-        return cls(**_typed(content))
+        extras = dict(content.get("extras", {}))
+        told: dict[str, Any] = {}
+        for name in {"nominal", "excluded", "horizon", "tests_scatter", "windows"} & {*extras}:
+            told["n_windows" if name == "windows" else name] = extras.pop(name)
+        if extras.keys() & {"disturbance_test", "process_noise_failed"}:
+            delay = extras.pop("white_delay", None)
+            told["process_noise"] = estimate.ProcessNoiseTest(
+                extras.pop("disturbance_test", np.inf),
+                extras.pop("process_noise_failed", ""),
+                _late(*delay) if delay else None,
+                tuple(estimate.ActuatorStart(*one) for one in extras.pop("white_starts", ())),
+            )
+        if "captive" in extras:
+            errors = extras.pop("captive")
+            told["captive"] = estimate.CaptiveErrors(errors, extras.pop("captive_misfit", {}))
+        for field, kind in (("attempts", estimate.Attempts), ("posterior", estimate.Posterior)):
+            names = [one.name for one in fields(kind)]
+            if extras.keys() >= set(names):
+                told[field] = kind(*(extras.pop(name) for name in names))
+        extras.pop("magnitudes", None)
+        return cls(**content | told | ({"extras": extras} if "extras" in content else {}))
 
     @cached_property
     def concerns(self) -> tuple[judgement.Concern, ...]:
@@ -649,31 +669,6 @@ def _late(signal: str, kind: str, size: float, std: float) -> estimate.Departure
     """A delay as version 0.1 kept it."""
     how = "acts late" if kind == "input" else "late"
     return estimate.Departure(signal, how, size, std, np.nan, np.nan)
-
-
-def _typed(content: dict[str, Any]) -> dict[str, Any]:
-    """Fields of a fit, with what version 0.1 kept in ``extras`` as what it is now."""
-    extras = dict(content.get("extras", {}))
-    told: dict[str, Any] = {}
-    for name in {"nominal", "excluded", "horizon", "tests_scatter", "windows"} & {*extras}:
-        told["n_windows" if name == "windows" else name] = extras.pop(name)
-    if extras.keys() & {"disturbance_test", "process_noise_failed"}:
-        delay = extras.pop("white_delay", None)
-        told["process_noise"] = estimate.ProcessNoiseTest(
-            extras.pop("disturbance_test", np.inf),
-            extras.pop("process_noise_failed", ""),
-            _late(*delay) if delay else None,
-            tuple(estimate.ActuatorStart(*one) for one in extras.pop("white_starts", ())),
-        )
-    if "captive" in extras:
-        errors = extras.pop("captive")
-        told["captive"] = estimate.CaptiveErrors(errors, extras.pop("captive_misfit", {}))
-    for field, kind in (("attempts", estimate.Attempts), ("posterior", estimate.Posterior)):
-        names = [one.name for one in fields(kind)]
-        if extras.keys() >= set(names):
-            told[field] = kind(*(extras.pop(name) for name in names))
-    extras.pop("magnitudes", None)
-    return {**content, **told, "extras": extras} if "extras" in content else content
 
 
 # Everything that a saved fit is made of.

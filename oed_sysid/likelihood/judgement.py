@@ -211,12 +211,9 @@ def with_verdict(fit: Judged) -> Judged:
         return replace(fit, status=replace(fit.status, advice=advice))
     if not fit.status.ok:
         return fit
-    found = {concern.kind: concern for concern in reversed(fatal(fit))}
-    if "degenerate" in found and not _stands_still(fit):
-        del found["degenerate"]
-    for kind in FATAL:
-        if kind in found:
-            return replace(fit, status=replace(fit.status, code=kind, advice=found[kind].text))
+    for worst in fatal(fit):
+        if worst.kind != "degenerate" or _stands_still(fit):
+            return replace(fit, status=replace(fit.status, code=worst.kind, advice=worst.text))
     return fit
 
 
@@ -282,7 +279,9 @@ def _has_numbers(fit: Estimate) -> bool:
 
 def _levels(fit: Estimate) -> Iterator[Found]:
     """Declared noise levels that are not those found."""
-    declared = _declared(fit)
+    declared = given_levels(fit.model.outputs)
+    if fit.innovations is None:  # those that it took where it was given others
+        declared = np.where(fit.sigma_estimated, declared, fit.sigma)
     share = max(1.0 - fit.n_unknowns / max(fit.n_observations, 1), 0.1)
     for column, output in enumerate(fit.model.outputs):
         if fit.sigma_estimated[column] or not np.isfinite(declared[column]):
@@ -333,12 +332,6 @@ def _level(fit: Estimate, column: int, share: float) -> tuple[float, float, bool
         # Slow residuals raise the variance, not the level of the white noise.
         return max(fast, 1.0), float(DIFFERENCE_ERROR / np.sqrt(n)), tests
     return whole, float(np.sqrt(0.5 / n)), tests
-
-
-def _declared(fit: Estimate) -> np.ndarray:
-    """Declared noise levels, those that the fit took where it was given others."""
-    given = given_levels(fit.model.outputs)
-    return np.where(fit.sigma_estimated, given, fit.sigma) if fit.innovations is None else given
 
 
 @once_a_fit
