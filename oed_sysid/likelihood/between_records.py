@@ -309,18 +309,15 @@ class Sources:
         shares = onto.T @ matrices @ onto
         slopes = scores @ onto
         slopes = slopes - (shares @ slopes.sum(axis=0)[:, None])[..., 0]
-        total, freedom = 0.0, -onto.shape[1]
-        each, each_freedom = [], []
-        for share, slope in zip(shares, slopes, strict=True):
-            told, axes = np.linalg.eigh(share)
-            squares = (axes.T @ slope) ** 2
-            seen = told > TOLD
-            total, freedom = total + float(np.sum(squares[seen] / told[seen])), freedom + seen.sum()
-            # Where one source tells everything, there is nobody to differ from.
-            both = seen & (told < 1.0 - TOLD)
-            each.append(float(np.sum(squares[both] / (told[both] * (1.0 - told[both])))))
-            each_freedom.append(int(both.sum()))
-        return Agreement(total, max(int(freedom), 0), tuple(each), tuple(each_freedom))
+        told, axes = np.linalg.eigh(shares)
+        squares = (slopes[:, None] @ axes)[:, 0] ** 2
+        seen = told > TOLD
+        # Where one source tells everything, there is nobody to differ from.
+        both = seen & (told < 1.0 - TOLD)
+        total = float(np.sum(squares / np.where(seen, told, np.inf)))
+        each = np.sum(squares / np.where(both, told * (1.0 - told), np.inf), axis=1)
+        freedom = max(int(seen.sum()) - onto.shape[1], 0)
+        return Agreement(total, freedom, tuple(each.tolist()), tuple(both.sum(axis=1).tolist()))
 
     def _grown(self, stated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Information and scores of the records where errors are as a covariance states."""
