@@ -205,21 +205,14 @@ class CaptiveTests:
                     stacklevel=2,
                 )
         velocities = tuple(model.axes.values())
-        for what, have, kind in (
-            (self.motions, velocities, "velocity of an axis"),
-            (self.inputs, model.input_names, "input"),
-            (self.forces, tuple(model.axes), "axis"),
+        none, advice = f": model {model.name!r} has no", "Add it to inputs; zero is a value too."
+        for lacking, names, known, more in (
+            (f"{none} velocity of an axis", self.motions, velocities, ""),
+            (f"{none} input", self.inputs, model.input_names, ""),
+            (f"{none} axis", self.forces, model.axes, ""),
+            (" lack the input", model.input_names, self.inputs, advice),
         ):
-            lacking = f"Captive tests {self.name!r}: model {model.name!r} has no {kind}"
-            located(ModelError, lacking, what, have)
-        advice = "Add it to inputs; zero is a value too."
-        located(
-            ModelError,
-            f"Captive tests {self.name!r} lack the input",
-            model.input_names,
-            self.inputs,
-            advice,
-        )
+            located(ModelError, f"Captive tests {self.name!r}{lacking}", names, known, more)
         if model.kinematics.keys() & set(velocities):
             raise ModelError(f"Model {model.name!r} moves a velocity without an axis.")
 
