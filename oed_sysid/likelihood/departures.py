@@ -44,6 +44,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -52,7 +53,6 @@ from oed_sysid.compiled.kernels import Kernel, Run, by_unknowns, kernel
 from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate
 from oed_sysid.likelihood.information import COLOUR_LIMIT
 from oed_sysid.likelihood.projection import inverse_of, project_out
-from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Input
 from oed_sysid.physics.model import Model
 
@@ -174,12 +174,9 @@ def estimate_departures(fit: Estimate) -> tuple[Departure, ...]:
     runner, outputs = kernel(fit.model), fit.model.output_names
     signals = [(name, kind) for kind in ("late", "off", "scale") for name in outputs]
     signals += [(name, "acts late") for name in fit.model.input_names]
-    own = [float(np.sqrt(one)) for one in _slowness(fit)]
+    own = _slowness(fit)
     slow = [*own * 3, *[max(own)] * len(fit.model.input_names)]
-
-    def signatures(index: int, run: Run, _: np.ndarray) -> np.ndarray:
-        return _departed(runner, fit, index, run)
-
+    signatures = partial(_departed, runner, fit)
     return tuple(
         Departure(*signals[one.column], one.size, slow[one.column] * one.std, one.gain, one.share)
         for one in _scores(fit, runner, signatures, fewest=3, joint=True)
@@ -187,11 +184,12 @@ def estimate_departures(fit: Estimate) -> tuple[Departure, ...]:
 
 
 def _slowness(fit: Estimate) -> list[float]:
-    """Samples over independent samples of every output."""
-    return [max(n, 1) / max(some, 1.0) for some, n in fit.effective_samples().values()]
+    """Roots of samples over independent samples of every output."""
+    counts = fit.effective_samples().values()
+    return [float(np.sqrt(max(n, 1) / max(some, 1.0))) for some, n in counts]
 
 
-def _departed(runner: Kernel, fit: Estimate, index: int, run: Run) -> np.ndarray:
+def _departed(runner: Kernel, fit: Estimate, index: int, run: Run, _: np.ndarray) -> np.ndarray:
     """Derivatives of a record's outputs by delay, zero and scale of each, and by late inputs."""
     record, n = fit.dataset[index], len(fit.model.outputs)
     columns = np.zeros((*run.outputs.shape, 3 * n + len(fit.model.inputs)))
@@ -212,15 +210,12 @@ def _departed(runner: Kernel, fit: Estimate, index: int, run: Run) -> np.ndarray
     return columns
 
 
-def _is_coloured(fit: Estimate) -> bool:
-    return any(some < COLOUR_LIMIT * n for some, n in fit.effective_samples().values())
-
-
 def _clear(fit: Estimate, found: Sequence[Departed]) -> list[Departed]:
     """Departures that are significant, and, where residuals are coloured, worth a word."""
     clear = [one for one in found if abs(one.size) > CLEAR * one.std]
-    least = WORTH_A_WORD if clear and _is_coloured(fit) else -np.inf
-    return [one for one in clear if one.share > least]
+    if clear and any(some < COLOUR_LIMIT * n for some, n in fit.effective_samples().values()):
+        return [one for one in clear if one.share > WORTH_A_WORD]
+    return clear
 
 
 def clear_departure(fit: Estimate) -> Departure | None:
@@ -279,13 +274,12 @@ def estimate_starts(fit: Estimate) -> tuple[ActuatorStart, ...]:
     def beside(_: int, __: Run, by_start: np.ndarray) -> np.ndarray:
         return np.stack([by_start[:, :, places].sum(axis=2) for *_, places in columns], axis=2)
 
-    slow = float(np.sqrt(max(_slowness(fit), default=1.0)))
-    result = []
-    for one in _scores(fit, kernel(fit.model), beside, joint=False):
-        effect, signal, _ = columns[one.column]
-        std = slow * one.std
-        result.append(ActuatorStart(effect.name, signal, one.record, one.size, std, one.share))
-    return tuple(sorted(result, key=lambda one: -abs(one.size / one.std)))
+    slow = max(_slowness(fit), default=1.0)
+    found = [
+        ActuatorStart(*columns[one.column][:2], one.record, one.size, slow * one.std, one.share)
+        for one in _scores(fit, kernel(fit.model), beside, joint=False)
+    ]
+    return tuple(sorted(found, key=lambda one: -abs(one.size / one.std)))
 
 
 def clear_starts(fit: Estimate) -> tuple[ActuatorStart, ...]:
@@ -293,7 +287,7 @@ def clear_starts(fit: Estimate) -> tuple[ActuatorStart, ...]:
     return tuple(_clear(fit, estimate_starts(fit)))
 
 
-def _memories(model: Model) -> list[tuple[Effect, str, list[int]]]:
+def _memories(model: Model) -> list[tuple[str, str, list[int]]]:
     """Effect, command and places in the full state of memories that begin at a command."""
     place = len(model.states) + sum(len(effect.states) for effect in model.effects)
     found = []
@@ -303,7 +297,7 @@ def _memories(model: Model) -> list[tuple[Effect, str, list[int]]]:
         for signal in effect.terms:
             where = [place + i for i, m in enumerate(effect.memory) if m.initial == signal]
             if where:
-                found.append((effect, signal, where))
+                found.append((effect.name, signal, where))
         place += len(effect.memory)
     return found
 

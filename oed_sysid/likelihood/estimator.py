@@ -125,12 +125,10 @@ def check_levels(value: Any) -> None:
     """Raise :class:`ModelError` where noise is no word and no sequence of numbers."""
     words = ("auto", "given", "estimate")
     try:
-        known = value in words if isinstance(value, str) else not isinstance(value, Mapping)
-        if known and not isinstance(value, str):
-            known = np.asarray(value, dtype=float).ndim == 1
+        listed = not isinstance(value, str | Mapping) and np.asarray(value, dtype=float).ndim == 1
     except (TypeError, ValueError):
-        known = False
-    if not known:
+        listed = False
+    if not listed and not (isinstance(value, str) and value in words):
         raise ModelError(
             f"noise is {value!r}. Choose auto, given, estimate or a list of levels, one per output."
         )

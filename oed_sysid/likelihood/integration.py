@@ -113,11 +113,10 @@ def _both_steps(
     last = int(np.isfinite(states).all(axis=1).cumprod().sum())
     starts = np.arange(0, record.n_samples, 20)
     starts = starts[starts < last] if last else starts[:1]
-    runs = (
-        one.run(record.times, record.inputs, values, states[starts], starts=starts)
+    before, after = (
+        one.run(record.times, record.inputs, values, states[starts], starts=starts).outputs
         for one in (coarse, fine)
     )
-    before, after = (run.outputs for run in runs)
     return before, after
 
 
@@ -147,10 +146,9 @@ def resolved(fit: Ended, again: Callable[[float, Ended], Ended]) -> Ended:
 
 def moved(before: Estimate, after: Estimate) -> tuple[float, str]:
     """By how many of its standard errors an estimate moved: the largest such shift, and which."""
-    names = [name for name in before.names if name in after.names]
-    shifts = {
-        name: abs(after.values[name] - before.values[name]) / after.std_errors[name]
-        for name in names
-        if 0.0 < after.std_errors[name] < np.inf
-    }
-    return max(((size, name) for name, size in shifts.items()), default=(0.0, ""))
+    shifts = [
+        (abs(after.values[name] - before.values[name]) / error, name)
+        for name, error in after.std_errors.items()
+        if name in before.names and 0.0 < error < np.inf
+    ]
+    return max(shifts, default=(0.0, ""))
