@@ -146,10 +146,8 @@ class Filtered(Posed):
         """
         unknowns = np.zeros(self.layout.n_unknowns)
         values = self.model.values
-        for index, columns in enumerate(self._columns):
-            own = values | dict(local[index] if local else {})
-            free = np.array([own[name] for name in self.layout.free_names])
-            unknowns[columns] = [*initial[index], *self.layout.inward(free)]
+        for index in range(len(self.records)):
+            self.fill(unknowns, index, initial[index], values | dict(local[index] if local else {}))
         unknowns[self.layout.levels] = self.levels.vector(noise)
         return Point(np.clip(unknowns, self.limits.lower, self.limits.upper), ())
 
