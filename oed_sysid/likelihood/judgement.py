@@ -188,9 +188,7 @@ class Check:
                 one.signal,
                 one.record,
                 float(one.size),
-                self.sentence.format(
-                    size=one.size, signal=one.signal, record=one.record, **one.facts
-                ),
+                self.sentence.format(**vars(one), **one.facts),
             )
             for one in self.find(fit)
         )
@@ -399,8 +397,7 @@ def _binding(fit: Estimate) -> Iterator[Found]:
     """Bounds and constraints that the records would leave."""
     for one in fit.binding:
         name = one.text.split()[0]
-        facts = {"text": one.text, "beyond": one.beyond}
-        yield Found(one.distance, name if name in fit.names else "", facts=facts)
+        yield Found(one.distance, name if name in fit.names else "", facts=vars(one))
 
 
 def _absorbed(fit: Estimate) -> Iterator[Found]:
@@ -456,15 +453,11 @@ def _own_residuals(fit: Estimate) -> bool:
     return fit.innovations is None and bool(fit.names)
 
 
-def _departure(*kinds: str) -> Callable[[Estimate], Iterator[Found]]:
-    """What finds the departure of a signal that explains most, where it is of these kinds."""
-
-    def find(fit: Estimate) -> Iterator[Found]:
-        best = _sought(fit)
-        if best is not None and best.kind in kinds:
-            yield Found(best.size, best.signal, facts=_facts_of(best, fit))
-
-    return find
+def _departure(kinds: Sequence[str], fit: Estimate) -> Iterator[Found]:
+    """The departure of a signal that explains most, where it is of these kinds."""
+    best = _sought(fit)
+    if best is not None and best.kind in kinds:
+        yield Found(best.size, best.signal, facts=_facts_of(best, fit))
 
 
 @once_a_fit
@@ -821,20 +814,22 @@ CHECKS = (
         "them out.",
     ),
     Check(
-        "delay", _departure("late", "acts late"),
+        "delay", partial(_departure, ("late", "acts late")),
         f"{CLEAR:g} standard errors; see departures.clear_departure",
         "The residuals look as if {signal}{or} {verb} {value:.3g} ± {error:.2g} s {late} "
         "(expected none). Compare the clocks of "
         "the log, and shift {signal}, or add a delay or lag to the model.",
     ),
     Check(
-        "offset", _departure("off"), f"{CLEAR:g} standard errors; see departures.clear_departure",
+        "offset", partial(_departure, ("off",)),
+        f"{CLEAR:g} standard errors; see departures.clear_departure",
         "The residuals look as if {signal}{or} reads {value:.3g} ± {error:.2g} {unit} too {side} "
         "in all records (expected none), and parameters bend to that. Check its zero, or let it be "
         "estimated: sensor_bias of oed_sysid.physics.",
     ),
     Check(
-        "scale", _departure("scale"), f"{CLEAR:g} standard errors; see departures.clear_departure",
+        "scale", partial(_departure, ("scale",)),
+        f"{CLEAR:g} standard errors; see departures.clear_departure",
         "The residuals look as if the scale of {signal}{or} were {share:+.2g} ± {doubt:.2g} % off "
         "(expected none), and parameters bend to that. Check its calibration and unit, or let it "
         "be estimated: sensor_scale of oed_sysid.physics.",
