@@ -133,19 +133,16 @@ class RecordScatter:
             Of standard errors; one where nothing can be compared.
         clear : ndarray of bool (n_shared,)
         """
-        factor, clear = np.ones(len(stated)), np.zeros(len(stated), dtype=bool)
-        found = np.diag(self.covariance)
+        found, ratio = np.diag(self.covariance), np.ones(len(stated))
         usable = np.isfinite(found) & np.isfinite(stated) & np.isfinite(white)
         usable &= (stated > 0) & (white > 0) & (self.expected > 0)
         # What noise alone would give, as much larger as the stated errors are larger than white
         # ones.
         due = self.expected[usable] * stated[usable] / white[usable]
-        ratio = found[usable] / due
-        freedom = self.freedom[usable]
-        factor[usable] = np.sqrt(ratio)
-        chance = chdtrc(freedom, freedom * ratio) * max(len(ratio), 1)
-        clear[usable] = (chance < CHANCE) & (np.sqrt(ratio) > WORTH_TELLING)
-        return factor, clear
+        ratio[usable] = found[usable] / due
+        factor = np.sqrt(ratio)
+        chance = chdtrc(self.freedom, self.freedom * ratio) * max(int(usable.sum()), 1)
+        return factor, usable & (chance < CHANCE) & (factor > WORTH_TELLING)
 
     def half_width(self, level: float = 0.95) -> np.ndarray:
         """Half width of intervals of the parameters, of Student's distribution."""

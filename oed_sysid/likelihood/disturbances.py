@@ -119,15 +119,10 @@ def with_disturbance_inputs(model: Model, places: Sequence[Place]) -> Model:
 
 def _let_in(place: Place, name: str) -> Effect:
     """A signal that is admitted at a place, as an effect of its name."""
-    kind: dict[str, type[Effect]] = {
-        "actuator": Actuator,
-        "flow": Environment,
-        "force": Force,
-        "kinematics": Force,
-        "sensor": Sensor,
-    }
-    text = name if kind[place.stage] is Force else f"{place.signal} + {name}"
-    return kind[place.stage](name, {place.signal: text})
+    kinds: dict[str, type[Effect]] = {"actuator": Actuator, "flow": Environment, "sensor": Sensor}
+    # Into equations and kinematics it comes as a force, which needs no signal to stand beside.
+    kind = kinds.get(place.stage, Force)
+    return kind(name, {place.signal: name if kind is Force else f"{place.signal} + {name}"})
 
 
 def chosen_places(model: Model, names: Sequence[str] | str) -> tuple[Place, ...]:

@@ -652,11 +652,8 @@ class Fit(estimate.Estimate):
 def _start(known: tuple[str, tuple[float, float]]) -> str:
     """A start state that was given, in words."""
     name, (value, std) = known
-    return (
-        f"{name} {value:.4g} held"
-        if std == 0.0
-        else f"{name} {interval(value, TWO_SIDED_95 * std)}"
-    )
+    told = f"{value:.4g} held" if std == 0.0 else interval(value, TWO_SIDED_95 * std)
+    return f"{name} {told}"
 
 
 def _off_prior(parameter: Parameter, value: float) -> bool:
