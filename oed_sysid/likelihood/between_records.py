@@ -84,7 +84,7 @@ import numpy as np
 from scipy.special import chdtrc, stdtrit
 
 from oed_sysid.data.record import Record
-from oed_sysid.likelihood.projection import coordinates
+from oed_sysid.likelihood.projection import coordinates, inverse_of
 
 # Records from which on their scatter tells something: three degrees of freedom.
 FEWEST_RECORDS = 4
@@ -231,31 +231,25 @@ class Sources:
         >>> round(float(found.expected[0]), 9), float(found.freedom[0])  # variance one
         (0.25, 3.0)
         """
-        n, size, prior = self.n_records, self.matrices.shape[-1], self.matrices[0]
-        if n < FEWEST_RECORDS or not size:
+        n, prior, records = self.n_records, self.matrices[0], self.matrices[1:]
+        if n < FEWEST_RECORDS or not len(prior):
             return None
         whole = self.matrices.sum(axis=0)
         scale = np.sqrt(np.maximum(np.diag(whole), 0.0))
-        alone = scale == 0
-        onto, _ = coordinates(whole)
-        inverse = onto @ onto.T
+        inverse = inverse_of(whole)
         # One Newton step to the joint optimum of the approximate scores.
         step = inverse @ self.scores.sum(axis=0)
-        moved, shares = np.empty((n, size)), np.empty((n, size))
-        for index, (matrix, score) in enumerate(
-            zip(self.matrices[1:], self.scores[1:], strict=True)
-        ):
-            onto, blind = coordinates(whole - matrix, scale)
-            without, alone = onto @ onto.T, alone | blind
-            moved[index] = without @ (score - matrix @ step)
-            shares[index] = np.diag(without @ matrix @ inverse)
+        told = [coordinates(whole - matrix, scale) for matrix in records]
+        alone = np.any([scale == 0, *(blind for _, blind in told)], axis=0)
+        without = np.array([onto @ onto.T for onto, _ in told])
+        moved = (without @ (self.scores[1:] - records @ step)[..., None])[..., 0]
         # Jackknife: scatter about the mean of the estimates that each leave one record out.
         moved -= moved.mean(axis=0)
         assumed = inverse @ prior @ inverse
         covariance = (n - 1) / n * moved.T @ moved + assumed
         covariance[alone, :] = covariance[:, alone] = 0.0
         covariance[alone, alone] = np.inf
-        shares = np.maximum(shares, 0.0)
+        shares = np.maximum(np.diagonal(without @ records @ inverse, axis1=1, axis2=2), 0.0)
         total = shares.sum(axis=0)
         squares = np.where(total > 0, (shares**2).sum(axis=0), 1.0)
         # Satterthwaite (1946): degrees of freedom of a sum of unequal parts.
@@ -336,8 +330,7 @@ class Sources:
         Zero where the others, or it alone, do not tell a parameter.
         """
         whole = self.matrices.sum(axis=0)
-        told = (coordinates(one)[0] for one in (whole - self.matrices[index], whole))
-        left, joint = (onto @ onto.T for onto in told)
+        left, joint = inverse_of(whole - self.matrices[index]), inverse_of(whole)
         moved = left @ self.scores[index]
         # Of the difference of an estimate and one that contains it: their variances subtract.
         variance = np.diag(left) - np.diag(joint)

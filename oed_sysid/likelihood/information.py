@@ -307,9 +307,7 @@ def coloured_score_covariance(
         rows = root.conj().transpose(0, 2, 1) @ np.fft.rfft(jacobian, size, axis=0)
         # All frequencies but zero (and the last, if the size is even) occur twice.
         twice = np.full(len(rows), 2.0)
-        twice[0] = 1.0
-        if size % 2 == 0:
-            twice[-1] = 1.0
+        twice[[0, -1] if size % 2 == 0 else [0]] = 1.0
         rows = (rows * np.sqrt(twice / size)[:, None, None]).reshape(-1, n_unknowns)
         total += (rows.conj().T @ rows).real
     return total
@@ -323,16 +321,13 @@ class _Colour:
     """
 
     def __init__(self, residuals: Sequence[np.ndarray], lags: int | None = None) -> None:
-        n_outputs = residuals[0].shape[1]
-        self.recursion = np.zeros((n_outputs, n_outputs))
         rough = _lagged_covariance(residuals, 1)
-        recursion = _stable(rough[1].T @ np.linalg.pinv(rough[0], rcond=1e-8))
-        whiter = [r[1:] - r[:-1] @ recursion.T for r in residuals]
+        a = _stable(rough[1].T @ np.linalg.pinv(rough[0], rcond=1e-8))
+        whiter = [r[1:] - r[:-1] @ a.T for r in residuals]
         n_left = sum(int(np.isfinite(w).sum()) for w in whiter)
-        if n_left > 0.5 * sum(int(np.isfinite(r).sum()) for r in residuals):
-            self.recursion = recursion
-        else:  # too many gaps for differences between neighbours
-            whiter = list(residuals)
+        if n_left <= 0.5 * sum(int(np.isfinite(r).sum()) for r in residuals):
+            # Too many gaps for differences between neighbours.
+            a, whiter = np.zeros_like(a), list(residuals)
         longest = max(2, min(len(residual) for residual in whiter) // 4)
         lags = _taper_length(whiter) if lags is None else min(lags, longest)
         # Flat over half the lags, then a straight line to zero.
@@ -340,10 +335,9 @@ class _Colour:
         # Through the covariances of the residuals themselves, so that no sample is lost to a gap.
         own = _lagged_covariance(residuals, lags + 1)
         before = np.concatenate([own[1:2].transpose(0, 2, 1), own[:lags]])
-        a = self.recursion
         # Covariance of r(t) - A r(t - 1), from those of r.
         left = own[:-1] - before @ a.T - a @ own[1:] + a @ own[:-1] @ a.T
-        self.covariance = left * taper[:, None, None]
+        self.recursion, self.covariance = a, left * taper[:, None, None]
 
     def spectrum(self, size: int) -> np.ndarray:
         """Cross spectra at the frequencies of a real transform, ``(n, m, m)``."""
