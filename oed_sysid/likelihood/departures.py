@@ -42,7 +42,7 @@ several right ones says nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import TypeVar
@@ -91,11 +91,9 @@ class _Evidence:
 Signatures = Callable[[int, Run, np.ndarray], np.ndarray]
 
 
-def _evidence(
-    fit: Estimate, runner: Kernel, signatures: Signatures, fewest: int = 1
-) -> list[_Evidence]:
+def _evidence(fit: Estimate, signatures: Signatures, fewest: int = 1) -> list[_Evidence]:
     """What every record says of departures; nothing where a trajectory is not finite."""
-    n_shared, free, n_own = len(fit.names), fit.model.free_names, runner.n_own
+    n_shared, free, n_own = len(fit.names), fit.model.free_names, kernel(fit.model).n_own
     local = [n_own + free.index(name) for name in free if name not in fit.names]
     order = [n_own + free.index(name) for name in fit.names]
     order += [*range(n_own), *local]
@@ -103,7 +101,7 @@ def _evidence(
     for index, record in enumerate(fit.dataset):
         if record.independent or record.n_samples < fewest:
             continue
-        known = _sensitivities(runner, fit, index)
+        known = _sensitivities(fit, index)
         if known is None:
             return []
         run, by_start, jacobian = known
@@ -135,21 +133,17 @@ class _Score:
     share: float
 
 
-def _scores(
-    fit: Estimate, runner: Kernel, signatures: Signatures, *, fewest: int = 1, joint: bool
-) -> list[_Score]:
+def _scores(fit: Estimate, parts: Sequence[_Evidence], *, joint: bool) -> Iterator[_Score]:
     """Departures that the records tell, each record on its own or all ``joint``.
 
     Where the noise is larger than declared, errors are too.
     """
-    parts = _evidence(fit, runner, signatures, fewest)
     if not parts:
-        return []
+        return
     numbers = [one.name for one in fields(_Evidence)[1:]]
     total = _Evidence("", *(sum(getattr(part, name) for part in parts) for name in numbers))
     misfit, n = max(total.squares / max(total.count, 1), 1.0), len(fit.names)
     inverse = inverse_of(total.products[:n, :n])
-    scores = []
     for part in [total] if joint else parts:
         cross, excess = part.products[:n, n:-1], max(part.squares - part.count, 1e-9)
         # All shared parameters estimated along, over all records.
@@ -161,8 +155,7 @@ def _scores(
             size = float(score[column] / information[column])
             gain, std = size * float(score[column]), float(np.sqrt(misfit / information[column]))
             share = min(gain / excess, 1.0)
-            scores.append(_Score(int(column), part.record, size, std, gain, share))
-    return scores
+            yield _Score(int(column), part.record, size, std, gain, share)
 
 
 def estimate_departures(fit: Estimate) -> tuple[Departure, ...]:
@@ -171,15 +164,15 @@ def estimate_departures(fit: Estimate) -> tuple[Departure, ...]:
     See the equations above; residuals that are coloured enlarge the standard errors by the root
     of the ratio of all to independent samples, those larger than declared by their misfit.
     """
-    runner, outputs = kernel(fit.model), fit.model.output_names
-    signals = [(name, kind) for kind in ("late", "off", "scale") for name in outputs]
+    kinds = ("late", "off", "scale")
+    signals = [(name, kind) for kind in kinds for name in fit.model.output_names]
     signals += [(name, "acts late") for name in fit.model.input_names]
     own = _slowness(fit)
     slow = [*own * 3, *[max(own)] * len(fit.model.input_names)]
-    signatures = partial(_departed, runner, fit)
+    parts = _evidence(fit, partial(_departed, fit), fewest=3)
     return tuple(
         Departure(*signals[one.column], one.size, slow[one.column] * one.std, one.gain, one.share)
-        for one in _scores(fit, runner, signatures, fewest=3, joint=True)
+        for one in _scores(fit, parts, joint=True)
     )
 
 
@@ -189,7 +182,7 @@ def _slowness(fit: Estimate) -> list[float]:
     return [float(np.sqrt(max(n, 1) / max(some, 1.0))) for some, n in counts]
 
 
-def _departed(runner: Kernel, fit: Estimate, index: int, run: Run, _: np.ndarray) -> np.ndarray:
+def _departed(fit: Estimate, index: int, run: Run, _: np.ndarray) -> np.ndarray:
     """Derivatives of a record's outputs by delay, zero and scale of each, and by late inputs."""
     record, n = fit.dataset[index], len(fit.model.outputs)
     columns = np.zeros((*run.outputs.shape, 3 * n + len(fit.model.inputs)))
@@ -205,7 +198,7 @@ def _departed(runner: Kernel, fit: Estimate, index: int, run: Run, _: np.ndarray
         if not np.array_equal(moved, record.inputs):
             # Commands are steps, without derivatives: the difference of two runs takes their
             # place.
-            after = outputs_of(fit, index, moved, runner=runner)
+            after = outputs_of(fit, index, moved)
             columns[:, :, 3 * n + column] = (after - run.outputs) / shift
     return columns
 
@@ -277,7 +270,7 @@ def estimate_starts(fit: Estimate) -> tuple[ActuatorStart, ...]:
     slow = max(_slowness(fit), default=1.0)
     found = [
         ActuatorStart(*columns[one.column][:2], one.record, one.size, slow * one.std, one.share)
-        for one in _scores(fit, kernel(fit.model), beside, joint=False)
+        for one in _scores(fit, _evidence(fit, beside), joint=False)
     ]
     return tuple(sorted(found, key=lambda one: -abs(one.size / one.std)))
 
@@ -302,11 +295,9 @@ def _memories(model: Model) -> list[tuple[str, str, list[int]]]:
     return found
 
 
-def _sensitivities(
-    runner: Kernel, fit: Estimate, index: int
-) -> tuple[Run, np.ndarray, np.ndarray] | None:
+def _sensitivities(fit: Estimate, index: int) -> tuple[Run, np.ndarray, np.ndarray] | None:
     """A record's run, derivatives by the full start state, and by own states and parameters."""
-    record, values = fit.dataset[index], values_of(fit, index)
+    record, values, runner = fit.dataset[index], values_of(fit, index), kernel(fit.model)
     z0, dz0 = runner.start(fit.initial_states[index], record.inputs[0], values, record.times[0])
     run = runner.run(record.times, record.inputs, values, z0, sensitivities=True)
     found = run.output_sensitivities

@@ -76,20 +76,19 @@ def places(model: Model) -> tuple[Place, ...]:
     found += [
         Place("flow", signal, state_units.get(text, "")) for signal, text in model.signals.items()
     ]
-    found += [Place("force", name, _force_unit(model, name, state_units)) for name in equations]
+    rates = _rates(model)
+    found += [Place("force", name, rates[name]) for name in equations]
     found += [
-        Place("kinematics", name, _rate(state_units[name]))
-        for name in model.kinematics
-        if name not in equations
+        Place("kinematics", name, rates[name]) for name in model.kinematics if name not in equations
     ]
     found += [Place("sensor", output.name, output.unit) for output in model.outputs]
     return tuple(found)
 
 
-def _force_unit(model: Model, name: str, state_units: dict[str, str]) -> str:
-    if name not in model.axes:
-        return _rate(state_units[name])
-    return "N m" if name in ("K", "M", "N") else "N"
+def _rates(model: Model) -> dict[str, str]:
+    """Units of what stands in the equations: rates by state, sums of forces by axis."""
+    rates = {state.name: _rate(state.unit) for state in model.states}
+    return rates | {axis: "N m" if axis in ("K", "M", "N") else "N" for axis in model.axes}
 
 
 def _rate(unit: str) -> str:
