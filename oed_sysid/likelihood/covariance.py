@@ -80,15 +80,12 @@ def sandwich(white: np.ndarray, middle: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     white : ndarray (n, n)
-        :math:`H^{-1}`, infinite on the diagonal where nothing is seen.
+        :math:`H^{-1}`, infinite on the diagonal where nothing is seen, zero beside it.
     middle : ndarray (n, n)
         :math:`B`, the covariance of the summed scores.
     """
-    finite = np.flatnonzero(np.isfinite(np.diag(white)))
-    block = np.ix_(finite, finite)
-    result = white.copy()
-    result[block] = white[block] @ middle[block] @ white[block]
-    return result
+    seen = np.where(np.isfinite(white), white, 0.0)
+    return np.where(np.isfinite(white), seen @ middle @ seen, white)
 
 
 @dataclass(frozen=True, eq=False)

@@ -255,12 +255,9 @@ class Fit(estimate.Estimate):
         DataError
             If there are fewer than four records.
         """
-        scatter = estimate.checked_scatter(self)
-        found = np.diag(scatter.covariance)
-        covariance = np.where(np.isfinite(scatter.covariance), scatter.covariance, 0.0)
-        alone = ~np.isfinite(found)
-        covariance[alone, alone] = np.diag(self.covariance)[alone]
-        return replace(self, covariance=covariance)
+        found = estimate.checked_scatter(self).covariance
+        own = np.diag(np.diag(self.covariance))
+        return replace(self, covariance=np.where(np.isfinite(found), found, own))
 
     def save(self, path: str | Path, **made: Any) -> None:
         """Write the fit, its model and its data to a JSON file; :meth:`load` reads it.
