@@ -635,20 +635,18 @@ class ReducedFilter:
     def _widened(self, period: float) -> np.ndarray:
         """Covariance where innovations swing with a period, never below that of white ones."""
         white, share = self.information.covariance, self._share
-        n_shared = len(share)
-        finite = np.flatnonzero(np.isfinite(np.diag(white)))
-        if not len(finite):
+        if not np.isfinite(np.diag(white)).any():
             return white
         weight = self.problem.limits.prior_weight
-        middle = np.diag(weight[:n_shared]) + (share * weight) @ share.T
+        middle = np.diag(weight[: len(share)]) + (share * weight) @ share.T
         middle = self._by_values(middle + self.problem.knowledge.information) + self.told.coloured(
             25.0 * period
         )
         middle += self.told.of_tests(white, scattered=False)
         robust = sandwich(white, middle)
-        least, found = np.diag(white)[finite], np.diag(robust)[finite]
-        grow = np.ones(n_shared)
-        grow[finite] = np.sqrt(np.maximum(1.0, least / np.where(found > 0, found, np.inf)))
+        least, found = np.diag(white), np.diag(robust)
+        ratio = np.where(np.isfinite(least), least, 0.0) / np.where(found > 0, found, np.inf)
+        grow = np.sqrt(np.maximum(1.0, ratio))
         return robust * grow[:, None] * grow
 
     @property

@@ -306,10 +306,9 @@ def _sensitivities(fit: Estimate, index: int) -> tuple[Run, np.ndarray, np.ndarr
     return run, found[:, :, : runner.n_full], by_unknowns(found, dz0, runner.n_own)
 
 
-DEGREE = np.pi / 180.0
 # What a log may hold, by the unit that it was read in; only ratios that no guess is off by.
 UNITS: dict[str, tuple[tuple[float, str], ...]] = {
-    "rad": ((DEGREE, "degrees read as radians"), (1.0 / DEGREE, "radians read as degrees")),
+    "rad": ((np.pi / 180.0, "degrees read as radians"), (180.0 / np.pi, "radians read as degrees")),
     "rad/s": ((2.0 * np.pi / 60.0, "rpm read as rad/s"), (30.0 / np.pi, "rad/s read as rpm")),
     "1/s": ((1.0 / 60.0, "rpm read as 1/s"), (60.0, "1/s read as rpm")),
     "N": ((1e3, "kN read as N"), (1e-3, "N read as kN")),
