@@ -601,7 +601,7 @@ class Solution:
 
     @property
     def shooting(self) -> Shooting:
-        """The problem over whole records; that of windows holds one."""
+        """The problem over whole records, filtered or not; that of windows holds one."""
         return getattr(self.problem, "shooting", self.problem)
 
     @property

@@ -307,8 +307,7 @@ class MultipleShooting:
             return None
         iterations, name = free.iterations + end.iterations, f"{self.name}, disturbance forces"
         how = Procedure(name, free.sigma_estimated, iterations, began - free.seconds)
-        at = end.point.unknowns, end.matrix, end.right
-        found = constrained(summarise_filtered(end, how), problem, *at, self.solver.constraints)
+        found = constrained(summarise_filtered(end, how), end, self.solver.constraints)
         own = with_levels(found.model, found.noise)
         found = replace(found, model=own, process_noise=free.process_noise, excluded=free.excluded)
         return _judged(found, given.model)
@@ -362,8 +361,7 @@ class MultipleShooting:
         fit = summarise(end, replace(task.how, iterations=end.iterations), weighed=weighed)
         if end.reason == "diverged":
             return fit
-        at = end.point.unknowns, end.matrix, end.right
-        return constrained(fit, end.shooting, *at, self.solver.constraints)
+        return constrained(fit, end, self.solver.constraints)
 
     def _weighed(self, fit: Fit, white: Fit, task: _Task, end: Solution) -> Fit:
         """The fit without process noise to its end, its errors with autocorrelated residuals."""
@@ -531,9 +529,7 @@ class MultipleShooting:
                 continue
             iterations = fit.iterations + solution.iterations
             how = replace(task.how, name=f"{self.name}, disturbance forces", iterations=iterations)
-            ends = solution.point.unknowns, solution.matrix, solution.right
-            found = summarise_filtered(solution, how)
-            found = constrained(found, solution.problem, *ends)
+            found = constrained(summarise_filtered(solution, how), solution)
             if not _no_likelier(found, fit):
                 break
         return found

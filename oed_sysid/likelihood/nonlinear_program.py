@@ -124,8 +124,8 @@ class NonlinearProgram:
                 unknowns[position : position + n_entries], self._graph.n_full, n_nodes
             )
             position += n_entries
-            part, defects, seen = self._record(shooting, index, own, values, nodes, inverse_sigma)
-            residuals.append(part)
+            part, defects, seen = self._record(shooting, index, own, values, nodes)
+            residuals.append(ca.vec(part * ca.repmat(inverse_sigma, 1, part.shape[1])))
             jumps.append(defects)
             extra.append(user.of_record(seen, values))
         residual = ca.vertcat(*residuals)
@@ -152,14 +152,8 @@ class NonlinearProgram:
             root = ca.vertcat(ca.sqrt(weight), ca.MX.ones(prior.shape))
             # Constraints are left out of it: linear ones have no curvature, defects are near zero.
             rows = ca.mtimes(ca.diag(root), jacobian) if shooting.loss else jacobian
-            factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", limits.shape)
-            self._options["hess_lag"] = ca.Function(
-                "hess_lag",
-                [scaled, inverse_sigma, factor, multipliers],
-                [ca.triu(factor * ca.mtimes(rows.T, rows))],
-                ["x", "p", "lam_f", "lam_g"],
-                ["triu_hess_gamma_x_x"],
-            )
+            at = [scaled, inverse_sigma]
+            self._options["hess_lag"] = _hessian(at, limits.shape[0], ca.mtimes(rows.T, rows))
 
     def _values(self, shooting: Shooting, free: ca.MX) -> ca.MX:
         """All parameter values, the free ones as unknowns."""
@@ -169,15 +163,9 @@ class NonlinearProgram:
         return ca.vertcat(ca.DM(shooting.model.value_vector), free)[order]
 
     def _record(
-        self,
-        shooting: Shooting,
-        index: int,
-        own: ca.MX,
-        values: ca.MX,
-        nodes: ca.MX,
-        inverse_sigma: ca.MX,
+        self, shooting: Shooting, index: int, own: ca.MX, values: ca.MX, nodes: ca.MX
     ) -> tuple[ca.MX, ca.MX, ca.MX]:
-        """Scaled residuals of one record, the scaled jumps at its nodes, and the outputs."""
+        """Residuals of one record, the scaled jumps at its nodes, and the outputs."""
         record = shooting.records[index]
         z0 = self._graph.start(own, record.inputs[0], values, record.times[0])
         data, steps = _samples(shooting, index)
@@ -190,7 +178,7 @@ class NonlinearProgram:
         scale = ca.repmat(ca.DM(shooting.state_scale), 1, n_nodes)
         # In units of the states, so that one tolerance holds for metres and radians.
         jumps = ca.vec((after[:, :n_nodes] - nodes) / scale)
-        return ca.vec(residuals) * ca.repmat(inverse_sigma, n, 1), jumps, outputs
+        return residuals, jumps, outputs
 
     def solve(
         self,
@@ -248,6 +236,14 @@ def _settings(max_iterations: int, tolerance: float) -> dict[str, Any]:
     }
 
 
+def _hessian(at: list[ca.MX], n_rows: int, matrix: ca.MX) -> ca.Function:
+    """Hessian of the Lagrangian as IPOPT takes it, of a cost alone: constraints do not bend."""
+    factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", n_rows)
+    names, upper = ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+    wanted = [*at, factor, multipliers]
+    return ca.Function("hess_lag", wanted, [ca.triu(factor * matrix)], names, upper)
+
+
 def solve_innovations(
     problem: Filtered,
     begin: np.ndarray,
@@ -303,10 +299,10 @@ def solve_innovations(
 
     cost_and_rows = _Numbers("levels", n, [(1, 1), (len(lower), 1)], levels)
     derived = _Numbers("slopes", n, [(1, n), (len(lower), n), (n, n)], slopes)
-    x, nothing, factor = ca.MX.sym("x", n), ca.MX.sym("p", 0), ca.MX.sym("factor")
+    x, nothing = ca.MX.sym("x", n), ca.MX.sym("p", 0)
     f, g = cost_and_rows(x)
     gradient, jacobian, hessian = derived(x)
-    multipliers, at = ca.MX.sym("multipliers", len(lower)), [x, nothing]
+    at = [x, nothing]
     options = {
         **_settings(max_iterations, tolerance),
         # Below, differences are rounding; where slopes are worse than that the cost stands still.
@@ -318,13 +314,7 @@ def solve_innovations(
         "no_nlp_grad": True,
         "grad_f": ca.Function("g", at, [f, gradient.T], ["x", "p"], ["f", "grad_f_x"]),
         "jac_g": ca.Function("j", at, [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
-        "hess_lag": ca.Function(
-            "h",
-            [*at, factor, multipliers],
-            [ca.triu(factor * hessian)],
-            ["x", "p", "lam_f", "lam_g"],
-            ["triu_hess_gamma_x_x"],
-        ),
+        "hess_lag": _hessian(at, len(lower), hessian),
     }
     solver = ca.nlpsol("estimation", "ipopt", {"x": x, "p": nothing, "f": f, "g": g}, options)
     result = solver(
@@ -343,7 +333,7 @@ def solve_innovations(
 
 
 class _Numbers(ca.Callback):
-    """Functions of the unknowns that are known in numbers alone."""
+    """Functions of the unknowns, one vector, that are known in numbers alone."""
 
     def __init__(
         self,
@@ -355,9 +345,6 @@ class _Numbers(ca.Callback):
         ca.Callback.__init__(self)
         self._n, self._shapes, self._work = n, shapes, work
         self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        return 1
 
     def get_n_out(self) -> int:
         return len(self._shapes)
@@ -382,17 +369,12 @@ class _Predicted:
 
     Attributes
     ----------
-    name : str
-        Of the record.
-    times : ndarray (n_times,)
     outputs : ndarray (n_times, n_outputs)
     by_unknowns : ndarray (n_times, n_outputs, n_unknowns)
     values : ndarray (n_parameters,)
     values_by_unknowns : ndarray (n_parameters, n_unknowns)
     """
 
-    name: str
-    times: np.ndarray
     outputs: np.ndarray
     by_unknowns: np.ndarray
     values: np.ndarray
@@ -416,8 +398,7 @@ def _predicted(problem: Shooting | Filtered, unknowns: np.ndarray) -> list[_Pred
         by_unknowns[:, :, columns] = run.output_sensitivities * slopes
         by_values = np.zeros((len(values), len(unknowns)))
         by_values[place, columns[layout.n_own :]] = slopes[layout.n_own :]
-        here = record.times, run.outputs, by_unknowns
-        found.append(_Predicted(record.name, *here, values, by_values))
+        found.append(_Predicted(run.outputs, by_unknowns, values, by_values))
     return found
 
 
@@ -589,9 +570,6 @@ class _Watcher(ca.Callback):
     def get_n_in(self) -> int:
         return ca.nlpsol_n_out()
 
-    def get_n_out(self) -> int:
-        return 1
-
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
         sizes = {"x": self._n_x, "lam_x": self._n_x, "g": self._n_g, "lam_g": self._n_g}
         sizes |= {"f": 1, "lam_p": self._n_p}
@@ -673,25 +651,15 @@ class _Active:
         return "==" in self.text
 
 
-def constrained(
-    fit: Fit,
-    problem: Shooting | Filtered,
-    unknowns: np.ndarray,
-    matrix: np.ndarray,
-    right: np.ndarray,
-    constraints: Sequence[str] = (),
-) -> Fit:
+def constrained(fit: Fit, end: Solution | FilteredSolution, constraints: Sequence[str] = ()) -> Fit:
     """A fit with what binds it, the farthest exceeded first, and errors that know constraints.
 
     Parameters
     ----------
     fit : Fit
         As if nothing did.
-    problem : Shooting or Filtered
-    unknowns : ndarray (n_unknowns,)
-        At the end of the search.
-    matrix, right : ndarray (n_unknowns, n_unknowns), (n_unknowns,)
-        Information and half the negative gradient there, priors excluded.
+    end : Solution or FilteredSolution
+        Of the search.
     constraints : sequence of str
         Beside bounds.
 
@@ -699,10 +667,11 @@ def constrained(
     -------
     Fit
     """
-    limits = problem.limits
+    problem: Shooting | Filtered = end.shooting
+    limits, unknowns = problem.limits, end.point.unknowns
     if not constraints and not np.any((unknowns <= limits.lower) | (unknowns >= limits.upper)):
         return fit
-    total, slope = limits.with_priors(matrix, right, unknowns)
+    total, slope = limits.with_priors(end.matrix, end.right, unknowns)
     covariance = inverse_of(total)
     found = list(_bounds(problem, unknowns))
     if constraints:
@@ -793,8 +762,10 @@ def _constraints(
     problem: Shooting | Filtered, unknowns: np.ndarray, user: UserConstraints
 ) -> Iterator[_Active]:
     """Every constraint of the user, along a path where it is exceeded most."""
-    for index, record in enumerate(_predicted(problem, unknowns)):
-        for text, sample, excess, gradient in user.tightest(record):
+    # None is predicted where the model diverges.
+    pairs = zip(problem.dataset, _predicted(problem, unknowns), strict=False)
+    for index, (record, predicted) in enumerate(pairs):
+        for text, sample, excess, gradient in user.tightest(predicted):
             if sample is None and index:
                 continue
             where = "" if sample is None else f" at {record.times[sample]:g} s of {record.name}"
