@@ -66,10 +66,9 @@ def white_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
     levels, seen = np.full(n_outputs, np.nan), np.zeros(n_outputs, dtype=bool)
     for column in range(n_outputs):
         measured = [r.outputs[:, column] for r in dataset if not r.independent]
-        measured = [values[np.isfinite(values)] for values in measured]
-        levels[column] = _difference_level(measured, LOWEST_ORDER)
+        levels[column] = fast_level(measured, coarse=True)
         for order in range(LOWEST_ORDER + 1, 13):
-            finer = _difference_level(measured, order)
+            finer = fast_level(measured, order, coarse=True)
             if not finer < STILL_FALLING * levels[column]:
                 seen[column] = np.isfinite(finer)
                 break
@@ -97,19 +96,14 @@ def credible_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
     return np.where(seen, levels, np.maximum(levels, FINEST_NOISE * spread)), seen
 
 
-def _difference_level(measured: Sequence[np.ndarray], order: int) -> float:
-    """Standard deviation of white noise with differences as large as these; NaN without any."""
-    pooled = np.concatenate([np.zeros(0), *(np.diff(values, order) ** 2 for values in measured)])
-    if not len(pooled):
-        return np.nan
-    # Of coarse digits more than half the differences may be zero; their squares still tell.
-    return fast_level(measured, order) or float(np.sqrt(np.mean(pooled) / comb(2 * order, order)))
-
-
-def fast_level(parts: Sequence[np.ndarray], order: int = LOWEST_ORDER) -> float:
+def fast_level(
+    parts: Sequence[np.ndarray], order: int = LOWEST_ORDER, *, coarse: bool = False
+) -> float:
     r"""Level of white noise with differences whose median is as large as these; NaN without any.
 
     .. math:: \sigma^2 = \operatorname{median}(\Delta^k u)^2 \,/\, \Big(0.4549 \binom{2 k}{k}\Big)
+
+    Of ``coarse`` digits more than half the differences may be zero; their squares still tell.
 
     Examples
     --------
@@ -120,12 +114,11 @@ def fast_level(parts: Sequence[np.ndarray], order: int = LOWEST_ORDER) -> float:
     """
     differences = [np.diff(part[np.isfinite(part)], order) ** 2 for part in parts]
     pooled = np.concatenate([np.zeros(0), *differences])
+    if not len(pooled):
+        return np.nan
     # The median of a chi-squared variable with one degree of freedom is 0.4549.
-    return (
-        float(np.sqrt(np.median(pooled) / 0.4549 / comb(2 * order, order)))
-        if len(pooled)
-        else np.nan
-    )
+    square = np.median(pooled) / 0.4549 or coarse * np.mean(pooled)
+    return float(np.sqrt(square / comb(2 * order, order)))
 
 
 def shown_in_log(dataset: Dataset, name: str) -> float:

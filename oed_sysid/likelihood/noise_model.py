@@ -621,7 +621,7 @@ class Levels:
 
     def held(self) -> Levels:
         """Return the same noise with nothing unknown."""
-        return self._only([False] * len(self))
+        return self.only([False] * len(self))
 
     @property
     def are_variances(self) -> np.ndarray:
@@ -629,23 +629,10 @@ class Levels:
         kinds = [kind for kind, _ in self.entries]
         return ~np.isin(kinds, LOGARITHMS).reshape(len(kinds))
 
-    def only_variances(self) -> Levels:
-        """The same where all times and dampings are known."""
-        return self._only(self.are_variances)
-
-    def only(self, names: Sequence[str]) -> Levels:
-        """Return the same noise with some of its unknowns, by :attr:`names`."""
-        return self._only(np.isin(self.names, names))
-
     @property
     def shares_a_time(self) -> bool:
         """Whether several levels have one time together."""
         return any(index < 0 for _, index in self.entries)
-
-    @property
-    def n_coloured(self) -> int:
-        """Number of outputs with coloured noise."""
-        return len(self.coloured)
 
     def without_forces(self, dropped: np.ndarray) -> Levels:
         """Return the same unknowns with some disturbances absent.
@@ -663,15 +650,15 @@ class Levels:
             for kind, index in self.entries
         ]
         noise = replace(self.noise, force=np.where(dropped, 0.0, self.noise.force))
-        return replace(self._only(keep), noise=noise)
+        return replace(self.only(keep), noise=noise)
 
     def holding_forces(self) -> Levels:
         """Return the same unknowns, levels and times of disturbances known."""
         of_sensors = (WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME)
-        return self._only([kind in of_sensors for kind, _ in self.entries])
+        return self.only([kind in of_sensors for kind, _ in self.entries])
 
-    def _only(self, keep: Sequence[bool] | np.ndarray) -> Levels:
-        """Some of the unknowns; the others stay at the noise model's values."""
+    def only(self, keep: Sequence[bool] | np.ndarray) -> Levels:
+        """Return the same noise with some of its unknowns; the others stay at its values."""
         chosen = np.array(keep, dtype=bool)
         numbers = ("lower", "upper", "scale", "prior_mean", "prior_weight")
         kept: dict[str, Any] = {name: getattr(self, name)[chosen] for name in numbers}

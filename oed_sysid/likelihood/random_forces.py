@@ -391,7 +391,8 @@ class _Scored:
             To begin with, in squared units of their places.
         """
         problem = self.problem
-        alone = wide.with_levels(wide.levels.only(names), problem.longest_hold)
+        new = wide.levels.only(np.isin(wide.levels.names, names))
+        alone = wide.with_levels(new, problem.longest_hold)
         others = self.unknowns[: problem.layout.levels.start]
         passes = alone.passes(np.append(others, np.zeros(len(names))), levels_only=True, rows=True)
         if not all(part.ok for part in passes):
@@ -550,7 +551,7 @@ def _instead(found: FilteredSolution, setting: Setting, inputs: Sequence[str]) -
 def with_own_times(found: FilteredSolution, setting: Setting) -> FilteredSolution:
     """Give every disturbance a time of its own where that is clearly likelier."""
     noise, levels = found.noise, found.problem.levels
-    lasting = np.sum((noise.force > 0) & (noise.force_time > 0)) + levels.n_coloured
+    lasting = np.sum((noise.force > 0) & (noise.force_time > 0)) + len(levels.coloured)
     if not levels.shares_a_time or lasting < 2:
         return found
     problem = posed(found, setting, noise, own_times=True)

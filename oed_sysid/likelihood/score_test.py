@@ -371,7 +371,8 @@ def _score_at(setting: Setting, start: Start, dataset: Dataset, time: float) -> 
     n_forces, n_outputs = len(quiet.force), len(quiet.white)
     one = replace(quiet, force=np.ones(n_forces), colour=quiet.white)
     # Where every level but the white ones is zero, times have no slope.
-    levels = Levels.of(quiet, one, white=True, colour=setting.colour, force=True).only_variances()
+    levels = Levels.of(quiet, one, white=True, colour=setting.colour, force=True)
+    levels = levels.only(levels.are_variances)
     problem, unknowns = setting.problem(start, levels, dataset)
     found = problem.passes(unknowns, levels_only=True)
     vast = ScoreTest(np.inf, time, quiet, one)

@@ -190,10 +190,8 @@ class Shooting(Posed):
         for index, record in enumerate(self.records):
             measured = measured_states(self.model, record)
             stds[index, list(measured)] = [self.sigma[columns[state]] for state in measured]
-            if len(measured) < self.layout.n_own:
-                guesses = kinematic_states(self.model, record, measured)
-                stds[index, list(guesses)] = [guess.std for guess in guesses.values()]
-                measured |= {state: guess.series for state, guess in guesses.items()}
+            for state, guess in kinematic_states(self.model, record, measured).items():
+                stds[index, state], measured[state] = guess.std, guess.series
             series.append(measured)
         self._series = tuple(series)
         # Standard deviation of the guesses ``(n_records, n_full)``, NaN where simulated.

@@ -52,6 +52,7 @@ from oed_sysid.likelihood.noise_levels import (
     BEYOND,
     DIFFERENCE_ERROR,
     given_levels,
+    root_mean_square,
     signal_spread,
     white_levels,
 )
@@ -272,10 +273,9 @@ def rms(runs: Sequence[WholeRun]) -> np.ndarray:
     """
     residuals = np.vstack([run.record.residuals(run.outputs) for run in runs])
     seen = np.vstack([np.isfinite(run.record.outputs) for run in runs])
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        squares = np.where(seen, residuals, 0.0) ** 2
-        found = np.sqrt(squares.sum(axis=0) / seen.sum(axis=0))
-    return np.where(seen.any(axis=0) & ~np.isfinite(found), np.inf, found)
+    with np.errstate(over="ignore"):
+        found = root_mean_square([residuals])
+    return np.where(np.any(seen & ~np.isfinite(residuals), axis=0), np.inf, found)
 
 
 @dataclass(frozen=True)

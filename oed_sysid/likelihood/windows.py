@@ -132,9 +132,9 @@ class Windows:
         """Windows side by side, start states held by what is measured."""
         parts = []
         for index, record in enumerate(shooting.records):
-            n = record.n_samples
-            stop = n if record.independent else n // n_samples * n_samples
-            starts = np.arange(0, stop, n if record.independent else n_samples, dtype=np.intc)
+            length = record.n_samples if record.independent else n_samples
+            stop = record.n_samples // length * length
+            starts = np.arange(0, stop, length, dtype=np.intc)
             parts.append(Part(index, starts, np.ones(len(starts), dtype=bool), stop))
         # Measured start states stay near the measurement, simulated ones may leave their guesses:
         # with start states held, even wild parameters enter almost linearly.
