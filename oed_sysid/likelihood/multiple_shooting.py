@@ -263,7 +263,7 @@ class MultipleShooting:
 
     def _by_shooting(self, given: _Given, *, wanted: bool) -> Fit:
         task, warm = self._task(given), given.warm
-        model = task.model
+        model = task.shooting.model
         point = task.shooting.warm_point(warm if given.initial_states is None else None)
         # Where process noise may follow, residuals that are no white noise end the iterations
         # soon, and their autocorrelation is weighed only if none does.
@@ -334,7 +334,7 @@ class MultipleShooting:
             every = [np.arange(len(r.times), dtype=np.intc) for r in shooting.records]
             shooting = shooting.having(starts=tuple(every))
         how = Procedure(self.name, estimated, 0, began, self.coloured)
-        return _Task(shooting.model, shooting, given.known_starts, how)
+        return _Task(shooting, how)
 
     def _wants_process_noise(self, model: Model, dataset: Dataset) -> bool:
         """Whether process noise is to be tested for or estimated."""
@@ -388,7 +388,8 @@ class MultipleShooting:
         before, spent = _measured(fit.dataset), [fit.iterations]
 
         def again_by(way: MultipleShooting, dataset: Dataset, earlier: Fit | None) -> Fit:
-            found = way._fit(_Given(task.model, dataset, earlier, None, task.known_starts))
+            known = task.shooting.known_starts
+            found = way._fit(_Given(task.shooting.model, dataset, earlier, None, known))
             spent.append(found.iterations)
             return found
 
@@ -441,8 +442,9 @@ class MultipleShooting:
         Fit or None
             The one with process noise; None where none acts, or its estimation failed.
         """
-        declared = _declared(task.model)
-        places, tests = self._places(task.model, declared), self._tests(task.model)
+        model = task.shooting.model
+        declared = _declared(model)
+        places, tests = self._places(model, declared), self._tests(model)
         if places is None:
             return fit, None
         setting = self._setting(fit, task, places, declared)
@@ -464,7 +466,7 @@ class MultipleShooting:
             return _failed(fit, "diverged"), None
         if tests and _no_likelier(found, fit):
             return fit, None
-        model = with_levels(found.model, found.noise)
+        own = with_levels(found.model, found.noise)
         # Noise of inputs was asked for beside these forces and in their place.
         absent = [p.channel for p in setting.inputs if not found.noise.level(p.name)[0]]
         asked = ProcessNoiseTest(test.gain, inputs=tuple(absent))
@@ -472,7 +474,7 @@ class MultipleShooting:
             asked = replace(
                 asked, departure=clear_departure(fit), actuator_starts=clear_starts(fit)
             )
-        return fit, replace(found, process_noise=asked, model=model)
+        return fit, replace(found, process_noise=asked, model=own)
 
     def _places(self, model: Model, declared: Sequence[RandomProcess]) -> tuple[Place, ...] | None:
         """Where process noise may act; None where there is no such place."""
@@ -493,18 +495,19 @@ class MultipleShooting:
     ) -> Setting:
         """What stays the same while noise is looked for."""
         floor, _ = credible_levels(fit.dataset)
+        model, estimated = task.shooting.model, task.how.estimated
         chosen = self.disturbances not in ("auto", "all")
-        inputs = [place for place in every_place(task.model) if place.stage == "actuator"]
+        inputs = [place for place in every_place(model) if place.stage == "actuator"]
         seas = seas_in(self.disturbances)
         return Setting(
-            task.model,
+            model,
             fit.dataset,
             places,
-            np.where(task.how.estimated, np.minimum(fit.sigma, floor), fit.sigma),
-            task.how.estimated,
+            np.where(estimated, np.minimum(fit.sigma, floor), fit.sigma),
+            estimated,
             logged=() if chosen else inputs,
             known=[process.place for process in declared if process.known],
-            known_starts=task.known_starts,
+            known_starts=task.shooting.known_starts,
             seas=seas,
             any_sea=not seas,
             max_iterations=self.solver.max_iterations,
@@ -591,14 +594,12 @@ class _Given:
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What the stages of one fit share: the model at its start values, and what is known.
+    """What the stages of one fit share: the problem at its start values, and how it is solved.
 
     ``carried`` is where an earlier fit with process noise ended, to go on from.
     """
 
-    model: Model
     shooting: Shooting
-    known_starts: KnownStarts | None
     how: Procedure
     carried: Start | None = None
 

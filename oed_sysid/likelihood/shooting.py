@@ -236,6 +236,12 @@ class Shooting(Posed):
             sensitivities=sensitivities,
         )
 
+    def no_paths(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Outputs and full states per record, each NaN: of what has not been run."""
+        counts = len(self.sigma), self.kernel.n_full
+        rows = [record.n_samples for record in self.records]
+        return [(np.full((n, counts[0]), np.nan), np.full((n, counts[1]), np.nan)) for n in rows]
+
     def start_unknowns(self) -> np.ndarray:
         """Start values: parameters of the model, initial states from the data."""
         unknowns = np.zeros(self.layout.n_unknowns)

@@ -157,14 +157,10 @@ def _of_windows(solution: Solution, how: Procedure) -> Fit:
 def _failed(shooting: Shooting, how: Procedure) -> Fit:
     """The result where no trajectory is finite: start values, of which nothing is known."""
     layout = shooting.layout
-    n, n_full = len(layout.shared), shooting.kernel.n_full
-    paths = [
-        (np.full(record.outputs.shape, np.nan), np.full((record.n_samples, n_full), np.nan))
-        for record in shooting.records
-    ]
+    n, begin = len(layout.shared), shooting.start_unknowns()
     nothing = Information(layout.shared_names, np.zeros((n, n)), np.ones(n))
     errors = Errors(nothing, nothing.covariance)
-    fit = how.fit(shooting, shooting.start_unknowns(), ("diverged", np.inf), errors, paths)
+    fit = how.fit(shooting, begin, ("diverged", np.inf), errors, shooting.no_paths())
     unknown = tuple(np.full(layout.n_own, np.nan) for _ in shooting.records)
     return replace(fit, initial_states=unknown, local_values=({},) * len(unknown), start_states=())
 
@@ -182,10 +178,8 @@ def summarise_filtered(solution: FilteredSolution, how: Procedure) -> Fit:
     """
     problem, unknowns = solution.problem, solution.point.unknowns
     reduced = ReducedFilter(problem, unknowns, solution.matrix)
-    paths = []
-    for index in range(len(problem.records)):
-        outputs, path, _ = problem.alone(unknowns, index)
-        paths.append((outputs, path[:, problem.own]))
+    alone = (problem.alone(unknowns, index) for index in range(len(problem.records)))
+    paths = [(outputs, path[:, problem.own]) for outputs, path, _ in alone]
     cost = 0.5 * sum(part.square for part in reduced.passes) + problem.prior_cost(unknowns)
     return replace(
         how.fit(problem, unknowns, (solution.reason, cost), reduced.errors(how.coloured), paths),

@@ -277,13 +277,7 @@ class Windows:
         Where two windows meet, the sample is that of the window which it ends.
         """
         shooting = self.shooting
-        found = [
-            (
-                np.full(r.outputs.shape, np.nan),
-                np.full((r.n_samples, shooting.kernel.n_full), np.nan),
-            )
-            for r in shooting.records
-        ]
+        found = shooting.no_paths()
         for part, at in zip(self.windows, point.nodes, strict=True):
             record = shooting.records[part.record]
             z0, _ = shooting.full_start(point.unknowns, part.record)
@@ -292,14 +286,11 @@ class Windows:
                 record.times, record.inputs, shooting.values(point.unknowns, part.record), nodes,
                 starts=part.starts,
             )  # fmt: skip
-            stops = [*part.starts[1:], record.n_samples]
-            for start, stop, counted in zip(part.starts, stops, part.counted, strict=True):
-                if counted:
-                    rows = slice(start if start == 0 else start + 1, stop)
-                    for kept, new in zip(
-                        found[part.record], (run.outputs, run.states), strict=True
-                    ):
-                        kept[rows] = new[rows]
+            outputs, states = found[part.record]
+            stops = np.append(part.starts[1:], record.n_samples)
+            for start, stop in zip(part.starts[part.counted], stops[part.counted], strict=True):
+                rows = slice(start if start == 0 else start + 1, stop)
+                outputs[rows], states[rows] = run.outputs[rows], run.states[rows]
         return found
 
     def residuals(self, point: Point) -> list[np.ndarray]:
