@@ -159,6 +159,12 @@ class Iterate:
         change = float(step @ (0.5 * (equations.matrix @ step) - equations.right))
         return equations.closed + change + limits.prior_cost(self.point.unknowns + step)
 
+    def bounded(self, damping: float = 0.0) -> tuple[np.ndarray, ...]:
+        """Matrix and right-hand side with what priors add, and bounds of a step."""
+        equations, limits, unknowns = self.damped(damping), self.problem.limits, self.point.unknowns
+        both = limits.with_priors(equations.matrix, equations.right, unknowns)
+        return (*both, limits.lower - unknowns, limits.upper - unknowns)
+
     def kept(self, cost: float) -> Iterate:
         """The same at some cost, with equations that nothing changes and that files can hold."""
         return replace(self, cost=cost, derive=partial(_told, self.equations))
@@ -513,12 +519,9 @@ class Descent:
 
     def direction(self, damping: float) -> np.ndarray:
         """The step at some damping."""
-        limits, unknowns = self.now.problem.limits, self.now.point.unknowns
-        equations = self.now.damped(damping)
-        matrix, right = limits.with_priors(equations.matrix, equations.right, unknowns)
-        lower, upper = limits.lower - unknowns, limits.upper - unknowns
+        matrix, right, lower, upper = self.now.bounded(damping)
         if self.trust is not None:
-            lower, upper = self.trust(unknowns, matrix, lower, upper)
+            lower, upper = self.trust(self.now.point.unknowns, matrix, lower, upper)
         return bounded_step(matrix, right, lower, upper, damping)
 
     def _advance(self) -> str:
@@ -712,10 +715,7 @@ class FilteredSolution(Solution):
     @property
     def promise(self) -> float:
         """Fall of the cost that the last equations promise."""
-        limits, unknowns = self.problem.limits, self.point.unknowns
-        matrix, right = limits.with_priors(self.matrix, self.right, unknowns)
-        lower, upper = limits.lower - unknowns, limits.upper - unknowns
-        return 0.5 * gain_within(matrix, right, lower, upper)[1]
+        return 0.5 * gain_within(*self.now.bounded())[1]
 
     @property
     def noise(self) -> NoiseModel:

@@ -318,8 +318,11 @@ class MultipleShooting:
         model, dataset, warm = given.model, given.dataset, given.warm
         earlier = None if warm is None else warm.sigma
         sigma, estimated = start_levels(model, dataset, self.noise, earlier)
+        if warm is not None:
+            values = warm.model.values | warm.values
+            model = model.within_bounds({n: values[n] for n in model.free_names if n in values})
         shooting = Shooting(
-            model if warm is None else _at_values(model, warm),
+            model,
             dataset,
             sigma,
             interval=self.interval,
@@ -604,12 +607,6 @@ class _Task:
     carried: Start | None = None
 
 
-def _at_values(model: Model, warm: Fit) -> Model:
-    """Return the model with its free parameters at an earlier fit's values, within bounds."""
-    earlier = warm.model.values | warm.values
-    return model.within_bounds({n: earlier[n] for n in model.free_names if n in earlier})
-
-
 def _asked(given: Disturbances) -> str | tuple[str, ...]:
     """Places that disturbances are asked for; all where nothing but a sea is."""
     if isinstance(given, str):
@@ -698,11 +695,9 @@ def _starts(fit: Fit, setting: Setting) -> list[Start]:
     left = np.nan_to_num(np.array(list(fit.rms.values())) / setting.white, posinf=np.inf)
     if np.isfinite(fit.cost) and left.max() <= CLEARLY:
         return [here]
-    known, model = setting.known_starts, setting.model
-    begin = Shooting(model, fit.dataset, setting.white, known_starts=known)
-    unknowns = begin.start_unknowns()
-    own_states = [begin.initial_state(unknowns, i) for i in range(len(begin.records))]
-    nominal = Start(model.values, own_states, [{}] * len(own_states))
+    known = setting.known_starts
+    begin = Shooting(setting.model, fit.dataset, setting.white, known_starts=known)
+    nominal = _start_at(begin, begin.start_unknowns())
     return [here, nominal] if np.isfinite(fit.cost) else [nominal]
 
 
@@ -804,9 +799,13 @@ def _carried(shooting: Shooting, point: Point, warm: Fit | None) -> Start | None
     """Where an earlier fit with disturbance forces or coloured sensors ended, to go on from."""
     if warm is None or warm.noise is None or warm.noise.is_white:
         return None
-    whole, layout = point.unknowns, shooting.layout
-    states = [shooting.initial_state(whole, index) for index in range(len(shooting.records))]
-    return Start(shooting.model.values, states, layout.local_values(whole), warm.noise)
+    return _start_at(shooting, point.unknowns, warm.noise)
+
+
+def _start_at(shooting: Shooting, unknowns: np.ndarray, noise: NoiseModel | None = None) -> Start:
+    """Where an estimation with process noise begins, at some unknowns of one without."""
+    states = [shooting.initial_state(unknowns, i) for i in range(len(shooting.records))]
+    return Start(shooting.model.values, states, shooting.layout.local_values(unknowns), noise)
 
 
 def _is_white(fit: Fit) -> bool:

@@ -463,14 +463,11 @@ class Levels:
         add(WHITE_VARIANCE, np.flatnonzero(white), unit.white, floor)
         add(COLOUR_VARIANCE, np.flatnonzero(of_colour), unit.colour[coloured], high=most**2)
         add_times(COLOUR_TIME, of_colour, noise.colour_time[coloured])
-        free = [
-            one.levels is None
-            for one, sea in zip(known, noise.seas, strict=True)
-            for _ in sea.places
-        ]
-        sizes = _levels_of(unit.seas)
+        at_sea = [place for sea in noise.seas for place in sea.places]
+        sizes, places = _levels_of(unit.seas), [len(sea.places) for sea in noise.seas]
+        unknown = np.repeat([sea.levels is None for sea in known], places).astype(bool)
         # What a fit has put at zero stays there, as forces do.
-        add(SEA_VARIANCE, np.flatnonzero(np.array(free, dtype=bool) & (sizes > 0)), sizes)
+        add(SEA_VARIANCE, np.flatnonzero(unknown & (sizes > 0)), sizes)
         # A wave takes two samples, and a record a few waves.
         periods, damping = _shapes_of(noise.seas)
         free = [sea.period is None for sea in known]
@@ -479,7 +476,6 @@ class Levels:
         add(SEA_DAMPING, np.flatnonzero(free), damping, *np.log(DAMPING))
         table = np.array(rows, dtype=float).reshape(-1, 7).T
         entries = tuple(zip(*table[:2].astype(int).tolist(), strict=True))
-        at_sea = [place for sea in noise.seas for place in sea.places]
         names = disturbance_names((*noise.places, *at_sea))
         return cls(noise, unit, entries, coloured, names, *table[2:])
 

@@ -24,7 +24,7 @@ shape lets them in.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import compress
@@ -33,6 +33,7 @@ import numpy as np
 from scipy.special import chdtrc, comb
 
 from oed_sysid.compiled.filtering import FORCE_VARIANCE, FilterPass
+from oed_sysid.data.record import Record
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.covariance import FEWEST
 from oed_sysid.likelihood.departures import TWOFOLD
@@ -562,13 +563,9 @@ def with_own_times(found: FilteredSolution, setting: Setting) -> FilteredSolutio
 
 def correlated(problem: Filtered, unknowns: np.ndarray) -> np.ndarray:
     """Outputs whose neighbouring innovations are clearly correlated, ``(n_outputs,)``."""
-    found = problem.passes(unknowns, columns=False)
     n_outputs = len(problem.model.outputs)
     lag_one, count = np.zeros(n_outputs), np.zeros(n_outputs)
-    for record, part in zip(problem.records, found, strict=True):
-        if record.independent:
-            continue
-        white = part.innovations / np.sqrt(part.variances)
+    for _, white in _whitened(problem, unknowns):
         for column in range(n_outputs):
             seen = int(np.isfinite(white[:, column]).sum())
             if seen > 20:
@@ -577,6 +574,14 @@ def correlated(problem: Filtered, unknowns: np.ndarray) -> np.ndarray:
     # Of white innovations it is normal, of variance one over their number (Bartlett 1946).
     share = lag_one / np.maximum(count, 1.0)
     return np.abs(share) > BEYOND / np.sqrt(np.maximum(count, 1.0))
+
+
+def _whitened(problem: Filtered, unknowns: np.ndarray) -> Iterator[tuple[Record, np.ndarray]]:
+    """Records that are series in time, and their innovations in standard deviations."""
+    passes = problem.passes(unknowns, columns=False)
+    for record, part in zip(problem.records, passes, strict=True):
+        if not record.independent:
+            yield record, part.innovations / np.sqrt(part.variances)
 
 
 # -- a sea -------------------------------------------------------------------------
@@ -699,12 +704,8 @@ def _in_spectrum(found: FilteredSolution, calm: Sequence[Sea]) -> np.ndarray:
     about, where they are white (Satterthwaite 1946, *Biometrics Bulletin* 2, 110): a look that
     costs one pass of the filter in all, before a test that costs one for each.
     """
-    problem, power, weight, squares = found.problem, 0.0, 0.0, 0.0
-    passes = problem.passes(found.point.unknowns, columns=False)
-    for record, part in zip(problem.records, passes, strict=True):
-        if record.independent:
-            continue
-        white = part.innovations / np.sqrt(part.variances)
+    power = weight = squares = 0.0
+    for record, white in _whitened(found.problem, found.point.unknowns):
         seen = np.isfinite(white).sum(axis=0)
         ordinates = np.abs(np.fft.rfft(np.nan_to_num(white), axis=0)[1:]) ** 2
         hertz = np.fft.rfftfreq(len(white), record.duration / (len(white) - 1))[1:, None]
@@ -729,21 +730,6 @@ def periods(found: FilteredSolution) -> list[float]:
     count = int(np.floor(np.log(longest / shortest) / np.log(NEXT_PERIOD))) + 1
     # Apart by a factor: a resonator sees its neighbours within its width, which is relative.
     return [float(one) for one in shortest * NEXT_PERIOD ** np.arange(count)]
-
-
-def _again(
-    found: FilteredSolution,
-    setting: Setting,
-    noise: NoiseModel,
-    known: Sea,
-    most: int,
-) -> FilteredSolution:
-    """Some steps of a race with another noise model; of its sea what ``known`` leaves out.
-
-    They end where next to nothing is left.
-    """
-    problem = posed(found, setting, noise, own_times=_own_times(found, noise), seas=[known])
-    return moved(found, problem, most, NEAR)
 
 
 def _calm(places: Sequence[str], period: float) -> Sea:
@@ -772,6 +758,12 @@ def _at_sea(
     begin : sequence of FilteredSolution
         Values to begin at.
     """
+
+    def again(one: FilteredSolution, noise: NoiseModel, known: Sea, most: int) -> FilteredSolution:
+        """Some steps of a race, to where next to nothing is left; ``known`` is of the sea."""
+        problem = posed(one, setting, noise, own_times=_own_times(one, noise), seas=[known])
+        return moved(one, problem, most, NEAR)
+
     first = found.noise
     # A force of first order and a sea in one place would share its variance: one at a time.
     alone = first.only([p not in sea.places or p in setting.known for p in first.places])
@@ -780,7 +772,7 @@ def _at_sea(
     # Everything else first, lest period and width follow its misfit.
     held = replace(known, period=sea.period, bandwidth=sea.bandwidth)
     noise = replace(alone, seas=(sea,))
-    tried = [_again(one, setting, noise, held, FIRST_STEPS) for one in begin]
+    tried = [again(one, noise, held, FIRST_STEPS) for one in begin]
     near = min(tried, key=lambda one: one.cost)
     if near.finite is None:
         return near
@@ -789,10 +781,11 @@ def _at_sea(
     looked: list[FilteredSolution] = []
     for one in shaped:
         # A shape that promises too little at its first look wins no race.
-        look = _again(near, setting, replace(noise, seas=(one,)), free, 0) if looked else near
+        shape = replace(noise, seas=(one,))
+        look = again(near, shape, free, 0) if looked else near
         least = min((end.restricted for end in looked), default=np.inf)
         if look.restricted - PROMISED * look.promise < least:
-            looked.append(_again(near, setting, replace(noise, seas=(one,)), free, FEW))
+            looked.append(again(near, shape, free, FEW))
 
     def to_the_end(one: FilteredSolution) -> FilteredSolution:
         most = setting.max_iterations

@@ -315,8 +315,6 @@ class ScoreTest:
     ----------
     gain : float
         ``T``, in twice the log-likelihood.
-    time : float
-        Correlation time with the largest gain, s.
     noise : NoiseModel
         One-step estimate of all levels.
     unit : NoiseModel
@@ -324,7 +322,6 @@ class ScoreTest:
     """
 
     gain: float
-    time: float
     noise: NoiseModel
     unit: NoiseModel
 
@@ -375,7 +372,7 @@ def _score_at(setting: Setting, start: Start, dataset: Dataset, time: float) -> 
     levels = levels.only(levels.are_variances)
     problem, unknowns = setting.problem(start, levels, dataset)
     found = problem.passes(unknowns, levels_only=True)
-    vast = ScoreTest(np.inf, time, quiet, one)
+    vast = ScoreTest(np.inf, quiet, one)
     if not all(part.ok for part in found):
         return vast
     count, size = len(levels), levels.scale
@@ -399,7 +396,6 @@ def _score_at(setting: Setting, start: Start, dataset: Dataset, time: float) -> 
         colour = np.sqrt(np.maximum(step[n_forces + n_outputs :], 0.0)) * quiet.white
     return ScoreTest(
         both - alone,
-        time,
         replace(quiet, force=np.sqrt(np.maximum(step[:n_forces], 0.0)), colour=colour),
         replace(one, force=np.sqrt(natural)),
     )

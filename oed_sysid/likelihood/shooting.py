@@ -372,7 +372,10 @@ class Shooting(Posed):
         for index, columns in enumerate(self._columns):
             # Residuals once the defects are closed, to first order, and weights of a robust loss
             # there, as of iteratively reweighted least squares.
-            scaled, weights = self.scaled(lin.residuals[index] - lin.offsets[index])
+            closed = lin.residuals[index] - lin.offsets[index]
+            scaled, weights = self.scaled(closed), np.isfinite(closed).astype(float)
+            if self.loss is not None:
+                weights *= self.loss(scaled)[1]
             root = np.sqrt(weights)
             target = root * scaled
             jacobian = lin.jacobians[index] * (root / self.sigma)[:, :, None]
@@ -381,18 +384,13 @@ class Shooting(Posed):
             right[columns] += flat.T @ target.ravel()
         return matrix, right
 
-    def scaled(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals in units of noise (0 where missing) and their weights."""
-        present = np.isfinite(residual)
-        scaled = np.where(present, residual, 0.0) / self.sigma
-        weights = present.astype(float)
-        if self.loss is not None:
-            weights *= self.loss(scaled)[1]
-        return scaled, weights
+    def scaled(self, residual: np.ndarray) -> np.ndarray:
+        """Residuals in units of noise, 0 where missing."""
+        return np.where(np.isfinite(residual), residual, 0.0) / self.sigma
 
     def _misfit(self, residual: np.ndarray) -> float:
         """Half the (robust) sum of squares of one record's residuals."""
-        scaled = np.where(np.isfinite(residual), residual, 0.0) / self.sigma
+        scaled = self.scaled(residual)
         if self.loss is not None:
             return 0.5 * float(np.sum(self.loss(scaled)[0]))
         return 0.5 * float(np.vdot(scaled, scaled))
@@ -468,7 +466,7 @@ class Shooting(Posed):
         Of its records those count that are here too and begin at the same time.
         """
         unknowns = self.start_unknowns()
-        local_names = self.layout.local_names
+        local_names = [self.layout.free_names[i] for i in self.layout.local]
         earlier = {(record.name, record.times[0]): i for i, record in enumerate(warm.dataset)}
         for index, record in enumerate(self.records):
             i = earlier.get((record.name, record.times[0]))

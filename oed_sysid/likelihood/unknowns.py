@@ -144,11 +144,6 @@ class Layout:
             found.append({self.free_names[i]: float(own[i]) for i in self.local})
         return found
 
-    @property
-    def local_names(self) -> tuple[str, ...]:
-        """Names of the free parameters of single records."""
-        return tuple(self.free_names[i] for i in self.local)
-
     def means(self, model: Model, unknowns: np.ndarray) -> dict[str, float]:
         """Values of the free parameters, within bounds; those of each record at their mean."""
         # Shared ones are equal in all records, so that their mean is their value.
