@@ -239,12 +239,12 @@ class NoiseModel:
         """Standard deviation of one measurement of each output, white and coloured together."""
         return np.hypot(self.white, self.colour)
 
-    def with_places(self, places: Sequence[str], time: float) -> NoiseModel:
-        """Return the same model with disturbances of level zero at more places."""
+    def with_places(self, places: Sequence[str], time: float, level: Any = 0.0) -> NoiseModel:
+        """Return the same model with disturbances at more places, of one level or one for each."""
         nothing = np.zeros(len(places))
         return replace(
             self,
-            force=np.append(self.force, nothing),
+            force=np.append(self.force, nothing + level),
             force_time=np.append(self.force_time, nothing + time),
             places=(*self.places, *places),
         )

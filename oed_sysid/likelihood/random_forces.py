@@ -442,8 +442,7 @@ def _joined(
 ) -> FilteredSolution:
     """Let forces join at more places, at the best of some times, where the records ask for them."""
     new = [place for place in places if place not in found.problem.levels.unit.places]
-    unit = found.problem.levels.unit.with_places(new, 1.0)
-    unit = replace(unit, force=np.append(found.problem.levels.unit.force, np.ones(len(new))))
+    unit = found.problem.levels.unit.with_places(new, 1.0, 1.0)
 
     def posed_at(noise: NoiseModel) -> Filtered:
         own = _own_times(found, noise)
@@ -457,8 +456,7 @@ def _joined(
         wide = noise.with_places(places, time)
         gain, variances = scored.gain(posed_at(wide), [f"{place} level" for place in places])
         if gain >= least:
-            size = np.sqrt(variances)
-            least, begin = gain, replace(wide, force=np.append(noise.force, size))
+            least, begin = gain, noise.with_places(places, time, np.sqrt(variances))
     if begin is None:
         return found
     # What joins has the size that the score says.
@@ -540,9 +538,8 @@ def _instead(found: FilteredSolution, setting: Setting, inputs: Sequence[str]) -
     inputs = [place for place in inputs if np.isfinite(most[place])]
     if noise.seas or not (inputs and np.any(noise.force > 0)):
         return found
-    alone = noise.only(np.isin(noise.places, setting.known)).with_places(inputs, 0.0)
     shown = [most[place] / TWOFOLD for place in inputs]
-    alone = replace(alone, force=np.append(alone.force[: -len(inputs)], shown))
+    alone = noise.only(np.isin(noise.places, setting.known)).with_places(inputs, 0.0, shown)
     again = moved(found, posed(found, setting, alone), setting.max_iterations)
     # As Akaike weighs unknowns (1974).
     fewer = len(found.problem.levels) - len(again.problem.levels)

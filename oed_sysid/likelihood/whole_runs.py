@@ -34,8 +34,9 @@ at their *declared* level, and the statistic, a chi-square that may be autocorre
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -504,7 +505,8 @@ def judged_runs(fit: Estimate, other: Dataset | None = None, *, unasked: str = "
     if dataset.only_tests:
         unasked = unasked or "independent tests have no runs"
     while not unasked:
-        z, usual, unasked = _asked(fit, own, runs, declared, granted, shared=other is None)
+        departure = partial(_departure, fit, declared, granted, shared=other is None)
+        z, usual, unasked = _asked(departure, own, runs)
         coarse = np.isfinite(declared) & (z < -BEYOND)
         if fit.noise.has_forces or not coarse.any():
             break
@@ -524,13 +526,9 @@ def judged_runs(fit: Estimate, other: Dataset | None = None, *, unasked: str = "
 
 
 def _asked(
-    fit: Estimate,
+    departure: Callable[[Sequence[WholeRun]], tuple[np.ndarray, float, str]],
     own: Sequence[WholeRun],
     runs: Sequence[WholeRun],
-    declared: np.ndarray,
-    granted: tuple[np.ndarray, np.ndarray],
-    *,
-    shared: bool,
 ) -> tuple[np.ndarray, float, str]:
     """``z`` of every output, the usual ratio, and why not where they cannot be told.
 
@@ -538,12 +536,12 @@ def _asked(
     clear there is asked once more at the fit's own values, where the same operator acts on what was
     measured as on what is drawn, and both have to say it.
     """
-    z, usual, unasked = _departure(fit, runs, declared, granted, shared=shared)
+    z, usual, unasked = departure(runs)
     if runs is own:
         return z, usual, unasked
     usual = usual if _near(own, runs) else np.inf
     if unasked or (np.abs(z) > BEYOND).any():
-        here, _, silent = _departure(fit, own, declared, granted, shared=shared)
+        here, _, silent = departure(own)
         unasked = unasked and silent  # what one of the two tells was asked
         z = np.where(np.isnan(z), here, np.sign(z) * np.fmin(np.abs(z), np.abs(here)))
     return z, usual, unasked
@@ -618,9 +616,9 @@ def _square(runs: Sequence[WholeRun]) -> float:
 
 def _departure(
     fit: Estimate,
-    runs: Sequence[WholeRun],
     declared: np.ndarray,
     granted: tuple[np.ndarray, np.ndarray],
+    runs: Sequence[WholeRun],
     *,
     shared: bool,
 ) -> tuple[np.ndarray, float, str]:

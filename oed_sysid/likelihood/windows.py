@@ -49,7 +49,6 @@ from oed_sysid.likelihood.gauss_newton import (
 )
 from oed_sysid.likelihood.shooting import Follows, Point, Shooting
 from oed_sysid.likelihood.start_guess import VAGUE
-from oed_sysid.likelihood.unknowns import Limits
 
 # What a start state of a window is known to before its samples where all of it is to be found, in
 # units of the state's scale.
@@ -121,6 +120,7 @@ class Windows:
         horizon: float | None = None,
     ) -> None:
         self.shooting, self.weight, self.horizon = shooting, weight, horizon
+        self.limits = shooting.limits
         self.windows = tuple(part for part in parts if part.counted.any())
         begin = shooting.start_unknowns() if unknowns is None else unknowns
         guesses = [shooting.state_guess(begin, i) for i in range(len(shooting.records))]
@@ -161,11 +161,6 @@ class Windows:
         other = copy.copy(self)
         other.shooting = shooting
         return other
-
-    @property
-    def limits(self) -> Limits:
-        """Bounds and priors of the unknowns."""
-        return self.shooting.limits
 
     @property
     def n_windows(self) -> int:
