@@ -385,9 +385,8 @@ class MultipleShooting:
         plain = replace(self, loss="square", disturbances="none")
         # While some are left, they must not bend the residuals in which they are looked for.
         few = replace(self.solver, max_iterations=min(FIRST_STEPS, self.solver.max_iterations))
-        looking = replace(plain, loss="student", solver=few)
-        if self.solver.method == "ipopt":  # which knows the square alone
-            looking = replace(plain, solver=few)
+        loss = "square" if self.solver.method == "ipopt" else "student"  # IPOPT knows one alone
+        looking = replace(plain, loss=loss, solver=few)
         before, spent = _measured(fit.dataset), [fit.iterations]
 
         def again_by(way: MultipleShooting, dataset: Dataset, earlier: Fit | None) -> Fit:
@@ -456,9 +455,7 @@ class MultipleShooting:
             test = _score(fit, setting, starts[0], task.carried, tests=tests)
         except SimulationError:  # the model itself diverges: the status says so
             return fit, None
-        excluded: tuple[str, ...] = ()
-        if setting.inputs and test.gain < np.inf:
-            excluded = excluded_inputs(setting, starts[0])
+        excluded = excluded_inputs(setting, starts[0]) if test.gain < np.inf else ()
         fit = replace(fit, process_noise=ProcessNoiseTest(test.gain, inputs=excluded))
         if tests and test.gain < CLEAR:
             return fit, None

@@ -205,11 +205,10 @@ class Prediction:
         ratios = np.vstack(
             [residual / std for residual, std in zip(self.residuals, self.std, strict=True)]
         )
-        result = {}
-        for name, column in zip(self.dataset.channels.output_names, ratios.T, strict=True):
-            seen = column[np.isfinite(column)]
-            result[name] = float(np.mean(np.abs(seen) <= factor)) if len(seen) else np.nan
-        return result
+        seen = np.isfinite(ratios)
+        with np.errstate(invalid="ignore"):  # where nothing was measured
+            share = (seen & (np.abs(ratios) <= factor)).sum(axis=0) / seen.sum(axis=0)
+        return by_name(self.dataset.channels.output_names, share)
 
     @property
     def rms(self) -> dict[str, float]:

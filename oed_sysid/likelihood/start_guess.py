@@ -313,12 +313,8 @@ def measured_columns(model: Model) -> dict[int, int]:
 
 def measured_states(model: Model, record: Record) -> dict[int, np.ndarray]:
     """Smoothed series of every state that an output measures directly."""
-    result: dict[int, np.ndarray] = {}
-    for state, column in measured_columns(model).items():
-        filled = _filled(record, column)
-        if filled is not None:
-            result[state] = smooth(filled)
-    return result
+    filled = {state: _filled(record, column) for state, column in measured_columns(model).items()}
+    return {state: smooth(series) for state, series in filled.items() if series is not None}
 
 
 def first_state(

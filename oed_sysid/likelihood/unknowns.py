@@ -138,11 +138,8 @@ class Layout:
 
     def local_values(self, unknowns: np.ndarray) -> list[dict[str, float]]:
         """Values of per-record parameters by name, a dictionary per record."""
-        found = []
-        for index in range(self.n_records):
-            own = self.parameters(unknowns, index)
-            found.append({self.free_names[i]: float(own[i]) for i in self.local})
-        return found
+        each = (self.parameters(unknowns, index) for index in range(self.n_records))
+        return [{self.free_names[i]: float(own[i]) for i in self.local} for own in each]
 
     def means(self, model: Model, unknowns: np.ndarray) -> dict[str, float]:
         """Values of the free parameters, within bounds; those of each record at their mean."""

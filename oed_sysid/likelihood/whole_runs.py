@@ -46,7 +46,7 @@ from oed_sysid.data.record import Record
 from oed_sysid.experiments.simulation import simulate_batch
 from oed_sysid.likelihood.between_records import CHANCE, WORTH_TELLING
 from oed_sysid.likelihood.disturbances import chosen_places, with_disturbance_inputs
-from oed_sysid.likelihood.estimate import Estimate
+from oed_sysid.likelihood.estimate import Estimate, by_name
 from oed_sysid.likelihood.gauss_newton import solve
 from oed_sysid.likelihood.laws import Law
 from oed_sysid.likelihood.noise_levels import (
@@ -162,10 +162,8 @@ class WholeRun:
     @property
     def states(self) -> dict[str, float]:
         """Start values of the model's own states."""
-        names = self.shooting.model.state_names
-        return dict(
-            zip(names, map(float, self.shooting.initial_state(self.unknowns, 0)), strict=True)
-        )
+        shooting = self.shooting
+        return by_name(shooting.model.state_names, shooting.initial_state(self.unknowns, 0))
 
     @property
     def local(self) -> dict[str, float]:
