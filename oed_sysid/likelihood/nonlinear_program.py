@@ -114,10 +114,10 @@ class NonlinearProgram:
             columns = layout.record_columns(index)
             own = unknowns[columns[: layout.n_own].tolist()]
             free = unknowns[columns[layout.n_own :].tolist()]
-            if layout.logged.any():
-                logged = np.flatnonzero(layout.logged).tolist()
-                free[logged] = ca.exp(free[logged])
-            values = self._values(shooting, free)
+            logged = np.flatnonzero(layout.logged).tolist()
+            free[logged] = ca.exp(free[logged])
+            values = ca.MX(ca.DM(shooting.model.value_vector))
+            values[list(self._graph.free_indices)] = free
             n_nodes = shooting.interval_counts[index] - 1
             n_entries = n_nodes * self._graph.n_full
             nodes = ca.reshape(
@@ -154,13 +154,6 @@ class NonlinearProgram:
             rows = ca.mtimes(ca.diag(root), jacobian) if shooting.loss else jacobian
             at = [scaled, inverse_sigma]
             self._options["hess_lag"] = _hessian(at, limits.shape[0], ca.mtimes(rows.T, rows))
-
-    def _values(self, shooting: Shooting, free: ca.MX) -> ca.MX:
-        """All parameter values, the free ones as unknowns."""
-        order = list(range(len(shooting.model.all_parameters)))
-        for position, parameter in enumerate(self._graph.free_indices):
-            order[parameter] = len(order) + position
-        return ca.vertcat(ca.DM(shooting.model.value_vector), free)[order]
 
     def _record(
         self, shooting: Shooting, index: int, own: ca.MX, values: ca.MX, nodes: ca.MX
