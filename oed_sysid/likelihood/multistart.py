@@ -291,12 +291,9 @@ def profile(
         loss=loss_by_name(loss),
         known_starts=KnownStarts.of(fit.model, fit.dataset, fit.start_states or None),
     )
-    walker = _Walker(shooting, fit, name)
-    # Quantile of chi-squared of one degree of freedom (Wilks), times what colour adds to
-    # variances.
-    threshold = 2.0 * float(gammaincinv(0.5, level)) * walker.inflation
-    lower, lower_end = walker.find_end(-1.0, threshold)
-    upper, upper_end = walker.find_end(1.0, threshold)
+    walker = _Walker(shooting, fit, name, level)
+    lower, lower_end = walker.find_end(-1.0)
+    upper, upper_end = walker.find_end(1.0)
     curve = np.array(sorted(walker.curve))
     natural = np.exp if fit.model.parameter(name).log else np.asarray
     lower, upper = float(natural(lower)), float(natural(upper))
@@ -309,7 +306,7 @@ def profile(
         upper=upper,
         values=natural(curve[:, 0]),
         rises=curve[:, 1],
-        threshold=threshold,
+        threshold=walker.threshold,
         lower_end=lower_end,
         upper_end=upper_end,
     )
@@ -318,7 +315,7 @@ def profile(
 class _Walker:
     """Walks away from the optimum with one parameter held, everything else refitted."""
 
-    def __init__(self, shooting: Shooting, fit: Fit, name: str) -> None:
+    def __init__(self, shooting: Shooting, fit: Fit, name: str, level: float) -> None:
         self.shooting = shooting
         self.position = shooting.layout.shared_names.index(name)
         found = solve(shooting, shooting.continuous(shooting.warm_unknowns(fit)))
@@ -331,13 +328,16 @@ class _Walker:
         variance = white[self.position, self.position]
         reported = fit.std_errors[name] ** 2
         usable = np.isfinite(variance) and np.isfinite(reported) and variance > 0
-        self.inflation = float(reported / variance) if usable else 1.0
+        inflation = float(reported / variance) if usable else 1.0
+        # Quantile of chi-squared of one degree of freedom (Wilks), times what colour adds to
+        # variances.
+        self.threshold = 2.0 * float(gammaincinv(0.5, level)) * inflation
         scale = float(shooting.limits.scale[self.position])
         slope = float(shooting.layout.shared_values(unknowns)[1][self.position])
         self.step = float(np.sqrt(reported)) / slope if usable else 0.1 * scale
         self.curve: list[tuple[float, float]] = [(self.estimate, 0.0)]
 
-    def find_end(self, direction: float, threshold: float) -> tuple[float, str]:
+    def find_end(self, direction: float) -> tuple[float, str]:
         """Where the rise crosses the threshold on one side, and what ends it."""
         limits = self.shooting.limits
         bound = float((limits.lower if direction < 0 else limits.upper)[self.position])
@@ -354,8 +354,8 @@ class _Walker:
                 step /= 4.0
                 continue
             rise = self._record(value, there)
-            if rise >= threshold:
-                return self._refine((inner, inner_rise), (value, rise), solution, threshold)
+            if rise >= self.threshold:
+                return self._refine((inner, inner_rise), (value, rise), solution)
             inner, inner_rise, solution = value, rise, there
             if at_bound:
                 return bound, "bound"
@@ -363,14 +363,10 @@ class _Walker:
         return direction * np.inf, "open"
 
     def _refine(
-        self,
-        inner: tuple[float, float],
-        outer: tuple[float, float],
-        near: Solution,
-        threshold: float,
+        self, inner: tuple[float, float], outer: tuple[float, float], near: Solution
     ) -> tuple[float, str]:
         """Find the crossing between two values, secant steps on the root of the rise."""
-        root, value = np.sqrt(threshold), outer[0]
+        root, value = np.sqrt(self.threshold), outer[0]
         for _ in range(12):
             # The rise is nearly a parabola, so that its root is nearly straight.
             low, high = np.sqrt(max(inner[1], 0.0)), np.sqrt(outer[1])
@@ -378,9 +374,9 @@ class _Walker:
             value = inner[0] + share * (outer[0] - inner[0])
             there = self._refit(value, near)
             rise = self._record(value, there)
-            if abs(rise - threshold) < CLOSE * threshold:
+            if abs(rise - self.threshold) < CLOSE * self.threshold:
                 break
-            if rise < threshold:
+            if rise < self.threshold:
                 inner, near = (value, rise), there
             else:
                 outer = (value, rise if np.isfinite(rise) else outer[1])
