@@ -178,15 +178,14 @@ class Windows:
 
     def at(self, point: Point) -> Iterate:
         """Cost and normal equations of the parameters."""
-        grams, cost = [], self.limits.prior_cost(point.unknowns)
+        grams, closed = [], 0.0
         for part, at, away in self._away(point):
             gram = self.products(part, point.unknowns, at)
             if gram is None:
                 return nowhere(self, point)
             grams.append(gram)
             square = float(gram[:, -1, -1].sum() + np.sum(self.weight[part.record] * away**2))
-            cost += 0.5 * square
-        closed = cost - self.limits.prior_cost(point.unknowns)
+            closed += 0.5 * square
 
         def equations(damping: float) -> Equations:
             n = self.shooting.layout.n_unknowns
@@ -201,7 +200,7 @@ class Windows:
                 follows.append((-found.solved[:, :, :-1], found.solved[:, :, -1]))
             return Equations(matrix, right, closed - alone, tuple(follows))
 
-        return Iterate(self, point, cost, equations)
+        return Iterate(self, point, closed + self.limits.prior_cost(point.unknowns), equations)
 
     def _away(self, point: Point) -> Iterator[tuple[Part, np.ndarray, np.ndarray]]:
         """Every part, its start states, and how far the counted ones are from their guesses."""
@@ -361,9 +360,7 @@ def _cut(index: int, record: Record, horizon: float) -> list[Part]:
     return parts
 
 
-def climb(
-    shooting: Shooting, unknowns: np.ndarray, n_samples: int, max_iterations: int = 30
-) -> np.ndarray:
+def climb(shooting: Shooting, unknowns: np.ndarray, n_samples: int) -> np.ndarray:
     """Improve unknowns by windows of ``n_samples`` samples; they stay where these diverge.
 
     Parameters
@@ -374,8 +371,6 @@ def climb(
         Where to begin.
     n_samples : int
         Length of a window.
-    max_iterations : int
-        Most iterations.
     """
     problem = Windows.apart(shooting, unknowns, n_samples)
     begin = problem.at(problem.start)
@@ -383,7 +378,7 @@ def climb(
         return unknowns
     # The way in only has to arrive nearby: it ends with an iteration that gains less than a share.
     descent = Descent(begin, Windows.at, Convergence(0.0, share=0.01), CAREFUL)
-    descent.run(max_iterations)
+    descent.run(30)
     found = descent.now.point.unknowns.copy()
     n_own = shooting.layout.n_own
     for part, node in zip(problem.windows, descent.now.point.nodes, strict=True):
