@@ -176,6 +176,8 @@ class Iterate:
 
 
 Evaluate = Callable[[Any, Point], Iterate]
+# Gives a matrix and a right-hand side.
+Derive = Callable[[], tuple[np.ndarray, np.ndarray]]
 Trust = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -274,20 +276,13 @@ def whitened(problem: Filtered, point: Point, *, levels_only: bool = False) -> I
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
         return nowhere(problem, point)
     cost = 0.5 * objective + problem.prior_cost(point.unknowns)
-    equations = _filtered_equations(problem, point, cost, matrix, right)
-    return Iterate(problem, point, cost, lambda _: equations)
+    return _filtered(problem, point, cost, lambda: (matrix, right))
 
 
 def differentiated(problem: Filtered, point: Point) -> Iterate:
     """Evaluate a point with the gradient of the filter as it is, once that is asked for."""
     cost = 0.5 * problem.objective(point.unknowns)
-
-    @cache
-    def equations() -> Equations:
-        matrix, right = _of_the_filter(problem, point.unknowns)
-        return _filtered_equations(problem, point, cost, matrix, right)
-
-    return Iterate(problem, point, cost, lambda _: equations())
+    return _filtered(problem, point, cost, partial(_of_the_filter, problem, point.unknowns))
 
 
 def restricted(problem: Filtered, point: Point) -> Iterate:
@@ -305,8 +300,7 @@ def restricted(problem: Filtered, point: Point) -> Iterate:
     if not np.isfinite(cost):
         return nowhere(problem, point)
 
-    @cache
-    def equations() -> Equations:
+    def derived() -> tuple[np.ndarray, np.ndarray]:
         matrix, right = _of_the_filter(problem, unknowns)
         # Smooth in the noise: a tenth of a standard deviation is a short step.
         lengths = SHORT * differences(problem, matrix)
@@ -315,9 +309,9 @@ def restricted(problem: Filtered, point: Point) -> Iterate:
             moved[index] += lengths[index]
             slope = (told(moved)[1] - known) / lengths[index]
             right[index] -= slope if np.isfinite(slope) else 0.0  # where it diverges, none
-        return _filtered_equations(problem, point, cost, matrix, right)
+        return matrix, right
 
-    return Iterate(problem, point, cost, lambda _: equations())
+    return _filtered(problem, point, cost, derived)
 
 
 def absorbed(problem: Filtered, matrix: np.ndarray) -> float:
@@ -335,12 +329,17 @@ def absorbed(problem: Filtered, matrix: np.ndarray) -> float:
     return 0.5 * float(np.linalg.slogdet(wide)[1])
 
 
-def _filtered_equations(
-    problem: Filtered, point: Point, cost: float, matrix: np.ndarray, right: np.ndarray
-) -> Equations:
-    # Joint knowledge is in matrix and right-hand side already, priors of single unknowns are not.
-    closed = cost - problem.limits.prior_cost(point.unknowns)
-    return Equations(matrix, right, closed, problem.maps(point, matrix))
+def _filtered(problem: Filtered, point: Point, cost: float, derive: Derive) -> Iterate:
+    """A point of a likelihood of innovations, and how to derive matrix and right-hand side."""
+
+    @cache
+    def equations() -> Equations:
+        matrix, right = derive()
+        # Joint knowledge is in both of them already, priors of single unknowns are not.
+        closed = cost - problem.limits.prior_cost(point.unknowns)
+        return Equations(matrix, right, closed, problem.maps(point, matrix))
+
+    return Iterate(problem, point, cost, lambda _: equations())
 
 
 def differences(problem: Filtered, matrix: np.ndarray) -> np.ndarray:
