@@ -401,8 +401,6 @@ class _Scored:
         matrix, right = self._equations(passes, alone.levels.scale)
         limits, nothing = problem.limits, np.zeros(len(names))
         own = len(self.unknowns)
-        known = limits.with_priors(matrix[:own, :own], right[:own], self.unknowns)
-        matrix[:own, :own], right[:own] = known
         lower = np.append(limits.lower - self.unknowns, nothing)
         upper = np.append(limits.upper - self.unknowns, nothing)
         _, without = gain_within(matrix, right, lower, upper)
@@ -413,13 +411,14 @@ class _Scored:
     def _equations(
         self, passes: Sequence[FilterPass], scale: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Matrix and right-hand side of all unknowns, variances of passes last, without priors."""
-        problem, n_new = self.problem, len(scale)
-        known, right = problem.gathered(self.unknowns, self.passes)
+        """Matrix and right-hand side of all unknowns, priors in both, variances of passes last."""
+        problem, unknowns, n_new = self.problem, self.unknowns, len(scale)
+        told = problem.gathered(unknowns, self.passes)
+        known, right = problem.limits.with_priors(*told, unknowns)
         cross, new = np.zeros((len(right), n_new)), np.zeros((n_new, n_new))
         slope, levels = np.zeros(n_new), problem.layout.levels
         for index, (part, more) in enumerate(zip(self.passes, passes, strict=True)):
-            where, size = problem.columns_of(self.unknowns, index)
+            where, size = problem.columns_of(unknowns, index)
             assert part.rows is not None
             assert more.rows is not None
             seen = np.isfinite(part.innovations)
