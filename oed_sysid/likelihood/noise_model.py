@@ -239,8 +239,15 @@ class NoiseModel:
         """Standard deviation of one measurement of each output, white and coloured together."""
         return np.hypot(self.white, self.colour)
 
-    def with_places(self, places: Sequence[str], time: float, level: Any = 0.0) -> NoiseModel:
-        """Return the same model with disturbances at more places, of one level or one for each."""
+    def with_places(self, places: Sequence[str], time: Any, level: Any = 0.0) -> NoiseModel:
+        """Return the same model with disturbances at more places.
+
+        Parameters
+        ----------
+        places : sequence of str
+        time, level : float or sequence of float
+            One for all places, or one for each.
+        """
         nothing = np.zeros(len(places))
         return replace(
             self,

@@ -186,16 +186,10 @@ class Setting:
 
     def noise(self, time: float) -> NoiseModel:
         """White noise, and disturbances of zero level."""
-        nothing = np.zeros_like(self.white)
-        return NoiseModel(
-            self.white,
-            nothing,
-            np.zeros(len(self.places)),
-            time,
-            np.array([0.0 if place.stage == "actuator" else time for place in self.places]),
-            self.model.output_names,
-            tuple(place.name for place in self.places),
-        )
+        places = [place.name for place in self.places]
+        times = [0.0 if place.stage == "actuator" else time for place in self.places]
+        white = NoiseModel.white_only(self.white, self.model.output_names)
+        return replace(white, colour_time=time).with_places(places, times)
 
     def levels(
         self,
