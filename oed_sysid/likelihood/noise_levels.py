@@ -749,9 +749,6 @@ def off_cubic(values: np.ndarray, length: int = 1) -> np.ndarray:
 
 def without_spikes(dataset: Dataset, masks: Sequence[np.ndarray]) -> Dataset:
     """Copy of a data set in which the marked samples are missing."""
-    return Dataset(
-        tuple(
-            record.with_outputs(np.where(mask, np.nan, record.outputs))
-            for record, mask in zip(dataset, masks, strict=True)
-        )
-    )
+    pairs = zip(dataset, masks, strict=True)
+    left = (one.with_outputs(np.where(mask, np.nan, one.outputs)) for one, mask in pairs)
+    return Dataset(tuple(left))

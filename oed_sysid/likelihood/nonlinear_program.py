@@ -96,12 +96,8 @@ class NonlinearProgram:
     ) -> None:
         self._graph = build(shooting.model)
         layout = shooting.layout
-        self._scale = np.concatenate(
-            [
-                shooting.limits.scale,
-                *(np.tile(shooting.state_scale, k - 1) for k in shooting.interval_counts),
-            ]
-        )
+        n_all = sum(shooting.interval_counts) - layout.n_records
+        self._scale = np.append(shooting.limits.scale, np.tile(shooting.state_scale, n_all))
         scaled = ca.MX.sym("unknowns", len(self._scale))
         unknowns = scaled * self._scale
         # A parameter of the program, so that noise levels can be estimated without building it
