@@ -86,7 +86,7 @@ def test_simulate_then_fit_recovers_the_model(ferry: Path, tmp_path: Path, capsy
     result = told(results, ["fit", ferry, *files])
     printed = capsys.readouterr()
     assert "converged" in printed.out
-    assert str(results) in printed.err
+    assert str(results / "told.json") in printed.err
     assert result["records"] == ["zigzag_10", "zigzag_20"]
     for parameter, truth in zip(result["parameters"], (0.1, 8.0), strict=True):
         assert abs(parameter["value"] - truth) < 5 * parameter["std_error"]

@@ -135,8 +135,7 @@ def test_stated_errors_are_right(way: str) -> None:
         scores.append(np.linalg.solve(root, fit.estimates - [1.0, 0.4]))
     variance = float(np.mean(np.square(scores)))
     spread = np.sqrt(2.0 / np.size(scores))
-    # With a force admitted that is not there, intervals may be a little too wide.
-    assert (0.5 if "force" in way else 1.0 - 3.5 * spread) < variance < 1.0 + 3.5 * spread
+    assert 1.0 - 3.5 * spread < variance < 1.0 + 3.5 * spread
 
 
 def test_predictions_carry_the_error_of_given_starts() -> None:

@@ -20,13 +20,11 @@ with the information :math:`\Lambda` of the training and :math:`H_v` of the vali
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import wraps
+from functools import partial
 from time import perf_counter
-from typing import TypeVar
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -35,7 +33,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.likelihood.disturbances import Place, chosen_places, disturbance
 from oed_sysid.likelihood.disturbances import places as every_place
-from oed_sysid.likelihood.estimate import Integration
+from oed_sysid.likelihood.estimate import Integration, once_a_fit
 from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.filtered import Filtered, Knowledge, disturbed_model
 from oed_sysid.likelihood.fit import Fit
@@ -64,26 +62,8 @@ VAGUE = 1e-8
 
 # A fit to white noise, on the way to one with disturbance forces.
 PLAIN = MultipleShooting(solver=Solver(max_iterations=15), coloured="never", disturbances="none")
-Found = TypeVar("Found")
-
-
-def _once(
-    work: Callable[[Study, FilteredSolution, Dataset], Found],
-) -> Callable[[Study, FilteredSolution, Dataset], Found]:
-    """Do what is asked of a fit on records once: claims and the table of errors ask the same."""
-    known: WeakKeyDictionary[FilteredSolution, list[tuple[Study, Dataset, Found]]]
-    known = WeakKeyDictionary()
-
-    @wraps(work)
-    def kept(study: Study, found: FilteredSolution, dataset: Dataset) -> Found:
-        results = known.setdefault(found, [])
-        for whose, records, result in results:
-            if whose is study and records is dataset:
-                return result
-        results.append((study, dataset, work(study, found, dataset)))
-        return results[-1][2]
-
-    return kept
+# What a study is asked of a fit on records: claims and the table of errors ask the same.
+_once = partial(once_a_fit, place=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import wraps
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -21,6 +21,7 @@ from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
 
 Answer = TypeVar("Answer")
+Asked = ParamSpec("Asked")
 
 
 @dataclass(frozen=True)
@@ -475,15 +476,22 @@ class Estimate:
         return frame(columns).set_index("parameter")
 
 
-def once_a_fit(ask: Callable[[Estimate], Answer]) -> Callable[[Estimate], Answer]:
-    """Remember what is asked of a fit for as long as that fit is there."""
-    known: WeakKeyDictionary[Estimate, Answer] = WeakKeyDictionary()
+def once_a_fit(ask: Callable[Asked, Answer], place: int = 0) -> Callable[Asked, Answer]:
+    """Remember what is asked of a fit, the argument at a place, for as long as that fit is there.
+
+    The same is asked where all other arguments are the same objects.
+    """
+    known: WeakKeyDictionary[Any, list[tuple[tuple[Any, ...], Answer]]] = WeakKeyDictionary()
 
     @wraps(ask)
-    def asked(fit: Estimate) -> Answer:
-        if fit not in known:
-            known[fit] = ask(fit)
-        return known[fit]
+    def asked(*given: Asked.args, **named: Asked.kwargs) -> Answer:
+        others = (*given[:place], *given[place + 1 :], *named.values())
+        answers = known.setdefault(given[place], [])
+        for before, answer in answers:
+            if all(one is other for one, other in zip(before, others, strict=True)):
+                return answer
+        answers.append((others, ask(*given, **named)))
+        return answers[-1][1]
 
     return asked
 

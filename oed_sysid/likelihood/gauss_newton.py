@@ -508,8 +508,9 @@ class Descent:
         return "iterations"
 
     def refine(self, evaluate: Evaluate, control: StepControl | None = None) -> bool:
-        """Go on from the same point with another evaluation; return whether it has one."""
-        found = evaluate(self.now.problem, self.now.point)
+        """Go on undamped, from the same point by some evaluation; return whether it has one."""
+        known = evaluate is self.evaluate
+        found = self.now if known else evaluate(self.now.problem, self.now.point)
         if not np.isfinite(found.cost):
             return False
         self.now, self.evaluate, self._damping = found, evaluate, 0.0
@@ -827,10 +828,13 @@ def _polished(descent: Descent, most: int) -> str:
         evaluate = partial(_corrected, lacks=before.equations.right - frozen.right)
         begin, control = evaluate(problem, descent.now.point), StepControl(1, MOST_DAMPING)
         inner = Descent(begin, evaluate, Convergence(FROZEN_TOLERANCE), control, descent.trust)
-        if np.isfinite(begin.cost) and inner.run(FEW) == "interrupted":
-            last = "interrupted"
+        ended = inner.run(FEW) if np.isfinite(begin.cost) else "diverged"
+        if inner.steps:
+            descent.now, descent.evaluate = inner.now, evaluate
+            descent.steps += inner.steps
+        if ended == "interrupted":
+            last = ended
             break
-        descent.now, descent.steps = inner.now, descent.steps + inner.steps
     descent.refine(restricted)
     return last
 
