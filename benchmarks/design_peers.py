@@ -72,7 +72,7 @@ class Case:
 
     @property
     def owner(self) -> np.ndarray:
-        """Which level each sample holds ``(n_times,)``; -1, neutral, at the first."""
+        """Which level each sample holds ``(n_times,)``; -1, trim, at the first."""
         n_times = round(self.duration / STEP) + 1
         edges = 1 + np.floor(np.arange(self.n_levels) * (n_times - 1) / self.n_levels)
         return np.searchsorted(edges, np.arange(n_times), side="right") - 1

@@ -69,7 +69,7 @@ from oed_sysid.design.vehicles import at_least, draw_models
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.information import identifiable_subset, information_of
 from oed_sysid.information.identifiability import ASSUMED, COLLINEARITY_LIMIT
-from oed_sysid.information.response import plays
+from oed_sysid.information.response import commanded_runs
 from oed_sysid.likelihood.realisation import drawn_disturbances
 
 STORE = Store(RESULTS / "plans.jsonl")
@@ -141,14 +141,14 @@ def errors_by_differences(
     """Standard errors of some parameters, all others fixed, start states free: differences."""
     sigma = np.array([output.noise_std for output in model.outputs])
     blocks = []
-    for play in plays(model, runs):
-        own = np.array(play.initial, dtype=float)
+    for given in commanded_runs(model, runs):
+        own = np.array(given.initial, dtype=float)
 
-        def outputs(values: dict[str, float], start: np.ndarray, play: Any = play) -> np.ndarray:
+        def outputs(values: dict[str, float], start: np.ndarray, given: Any = given) -> np.ndarray:
             run = simulate_inputs(
-                model.with_values(values), play.times, inputs=play.inputs, initial=start
+                model.with_values(values), given.times, inputs=given.inputs, initial=start
             )
-            return np.asarray((run.outputs / sigma)[play.present])
+            return np.asarray((run.outputs / sigma)[given.present])
 
         columns = []
         for name in names:

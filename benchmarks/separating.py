@@ -125,7 +125,7 @@ def designed(
             limits=problem.limits,
             duration=DURATION,
             sample_time=1.0,
-            neutral={"thrust": 9.0},
+            trim={"thrust": 9.0},
             initial={"u": speed, "z": 10.0},
         ),
         criterion=Discriminate(rivals, against_believed=False),

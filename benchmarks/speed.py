@@ -88,7 +88,7 @@ from oed_sysid.compiled import graph as graphs
 from oed_sysid.compiled.kernels import kernel as compiled
 from oed_sysid.evidence.study import Study, fitting_candidates
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.information import Play, noise_of, respond
+from oed_sysid.information import CommandedRun, noise_of, respond
 from oed_sysid.information.bound import RunInformation, triangle
 
 N_SAMPLES, STEP = 2400, 0.1
@@ -202,7 +202,7 @@ def information() -> Iterator[Measured]:
     job = Task()
     model, values, sigma = job.model, job.model.value_vector, noise_of(job.model)
     seen = np.ones((N_SAMPLES, 5), dtype=bool)
-    play = Play("benchmark", job.times, job.inputs, job.start, seen)
+    given = CommandedRun("benchmark", job.times, job.inputs, job.start, seen)
     point = np.concatenate([job.start, values[job.free]])
     scale = np.maximum(np.abs(point), 0.1)
 
@@ -227,7 +227,7 @@ def information() -> Iterator[Measured]:
     eighth = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
     central = eighth | {-k: -w for k, w in eighth.items()}
     print(f"{model.name}: {len(job.free)} free parameters")
-    exact = respond(model, play).jacobian
+    exact = respond(model, given).jacobian
     manual, build = job.by_manual()
 
     def by_casadi() -> np.ndarray:
@@ -249,7 +249,7 @@ def information() -> Iterator[Measured]:
 
     told = RunInformation(model)
     ways: dict[str, Callable[[], np.ndarray]] = {
-        "ours": lambda: told.factor(play),
+        "ours": lambda: told.factor(given),
         "one-sided differences": lambda: factor_of(differences(1e-7, {1: 1.0, 0: -1.0})),
         "CasADi jacobian": lambda: factor_of(by_casadi()),
     }

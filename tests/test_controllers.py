@@ -36,7 +36,7 @@ SERVO = {"rudder": Servo(2, -0.6, 0.6, 1000, 2000)}
 RUNS = {
     "zigzag": ZigZag("rudder", 0.3, 0.25, rate=0.1, start=3.0),
     "ahead": ZigZag(
-        "rudder", 0.35, 0.3, feedback=("psi", "r", "psi"), lead=2.0, keep_gain=0.4, neutral=0.02
+        "rudder", 0.35, 0.3, feedback=("psi", "r", "psi"), lead=2.0, keep_gain=0.4, trim=0.02
     ),
     "swings": ZigZagLike("rudder", (0.3, 0.2), (0.2, 0.3), feedback=("psi",), sign=1, rate=0.2),
     "circle": TurningCircle("rudder", 0.25, start=5.0),
@@ -163,7 +163,7 @@ def test_the_file_flies_the_run(name: str, kind: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["ros2", "ardupilot"])
 def test_a_rule_breaks_the_run_off(kind: str, tmp_path: Path) -> None:
-    """Beyond a rule the neutral command follows, and the reason is said."""
+    """Beyond a rule the trim command follows, and the reason is said."""
     rule = AbortRule("r", -0.02, 0.02, 0.0, True)
     run = experiment("zigzag")
     path = write_controller(tmp_path / "run", ship(), run, kind, aborts=[rule], servos=SERVO)

@@ -151,7 +151,7 @@ def test_elimination_is_the_inverse_block() -> None:
     ids=lambda family: family.name,
 )
 def test_families_keep_actuator_limits(family: Levels) -> None:
-    """Any numbers between 0 and 1 give commands within range and rate, from neutral."""
+    """Any numbers between 0 and 1 give commands within range and rate, from trim."""
     fitted = grid(rate=0.2)
     shape = family.on(fitted)
     numbers = np.random.default_rng(3).random((50, shape.size))

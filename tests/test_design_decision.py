@@ -14,7 +14,7 @@ from oed_sysid.design.criteria import Setting, log_power, told_apart
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.manoeuvres import Doublet
 from oed_sysid.experiments.simulation import simulate
-from oed_sysid.information import information_of, plays
+from oed_sysid.information import commanded_runs, information_of
 from oed_sysid.information.bound import RunInformation
 from oed_sysid.information.shifts import Shifts
 
@@ -311,8 +311,8 @@ def test_a_design_reveals_what_the_records_could_not_show() -> None:
     )
     cubic = found.chances[0]
     shifts = Shifts.of(fit.model, [hidden])
-    (play,) = plays(fit.model, fit.dataset, initial_states=fit.initial_states)
-    factor = RunInformation(fit.model, fit.sigma, shifts=shifts).factor(play)
+    (given,) = commanded_runs(fit.model, fit.dataset, initial_states=fit.initial_states)
+    factor = RunInformation(fit.model, fit.sigma, shifts=shifts).factor(given)
     told = factor.T @ factor
     n = len(fit.model.free_parameters)
     left = told[n, n] - told[n, :n] @ np.linalg.solve(told[:n, :n], told[:n, n])

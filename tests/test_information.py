@@ -13,7 +13,7 @@ from yaw_vehicle import NOISE, TRUE, yaw_data, yaw_model
 from oed_sysid import Dataset, Experiment, Model, NoiseModel, Sea, load_problem, simulate_inputs
 from oed_sysid.design import accuracy_range
 from oed_sysid.errors import DesignError
-from oed_sysid.information import information_of, plays, respond, sea_noise, sea_words
+from oed_sysid.information import commanded_runs, information_of, respond, sea_noise, sea_words
 from oed_sysid.information.bound import RunInformation
 from oed_sysid.likelihood.information import (
     Information,
@@ -224,9 +224,9 @@ def test_white_series_with_gaps_stays_white() -> None:
 
 def dense_information(model: Model, noise: NoiseModel) -> np.ndarray:
     """The same by one large Gaussian: outputs linear in the forces about the nominal run."""
-    play = plays(model, DOUBLET)[0]
-    base = respond(model, play)
-    n, step = len(play.times), float(play.times[1])
+    given = commanded_runs(model, DOUBLET)[0]
+    base = respond(model, given)
+    n, step = len(given.times), float(given.times[1])
 
     def outputs(forces: np.ndarray) -> np.ndarray:
         # The force as an input that is held over a sample, as the filter takes it.
@@ -236,8 +236,8 @@ def dense_information(model: Model, noise: NoiseModel) -> np.ndarray:
             inputs=(*model.inputs, replace(model.inputs[0], name="w", unit="")),
             kinematics={**model.kinematics, "r": rate},
         )
-        both = np.column_stack([play.inputs, forces])
-        return simulate_inputs(wide, play.times, inputs=both, initial=play.initial).outputs
+        both = np.column_stack([given.inputs, forces])
+        return simulate_inputs(wide, given.times, inputs=both, initial=given.initial).outputs
 
     still = outputs(np.zeros(n))
     by_force = np.stack(

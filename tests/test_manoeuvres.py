@@ -15,7 +15,7 @@ from oed_sysid.experiments.indices import rudder_legs
 
 EVERY_KIND = [
     m.Constant("thrust", 700.0),
-    m.ZigZag("rudder", 0.2, 0.1, rate=0.05, first=-1, start=2.0, sign=-1, neutral=0.01),
+    m.ZigZag("rudder", 0.2, 0.1, rate=0.05, first=-1, start=2.0, sign=-1, trim=0.01),
     m.ZigZagLike("fin_command", (0.3, 0.2), 0.1, rate=0.2),
     m.TurningCircle("rudder", -0.6, start=5.0, rate=0.04),
     m.PullOut("rudder", 0.3, turn_duration=20.0),
@@ -353,20 +353,29 @@ SWINGS: tuple[m.OpenLoop, ...] = (
 
 
 @pytest.mark.parametrize("swing", SWINGS, ids=lambda swing: swing.kind)
-def test_neutral_shifts_the_whole_command(swing: m.OpenLoop) -> None:
+def test_trim_shifts_the_whole_command(swing: m.OpenLoop) -> None:
     """The command about 70 rad/s is that about zero plus 70, before, during and after."""
     times = np.linspace(0.0, 20.0, 201)
-    shifted = replace(swing, neutral=CRUISE)
+    shifted = replace(swing, trim=CRUISE)
     np.testing.assert_allclose(shifted.commands(times), CRUISE + swing.commands(times))
     assert shifted.commands([0.0])[0] == CRUISE
     assert m.Excitation.from_dict(shifted.to_dict()) == shifted
+    older = {"neutral" if name == "trim" else name: v for name, v in shifted.to_dict().items()}
+    assert m.Excitation.from_dict(older) == shifted
     assert shifted.commands(times).min() > 50.0
 
 
-def test_reverse_spiral_steers_about_neutral() -> None:
-    """Without error and before its start a reverse spiral holds the neutral command."""
+@pytest.mark.parametrize("kind", sorted({type(swing) for swing in SWINGS}, key=str))
+def test_old_spelling_of_trim_says_the_new_one(kind: type[m.OpenLoop]) -> None:
+    """An argument that is gone names what to write."""
+    with pytest.raises(ModelError, match="trim="):
+        kind("n", 1.0, neutral=CRUISE)  # type: ignore[call-arg]
+
+
+def test_reverse_spiral_steers_about_trim() -> None:
+    """Without error and before its start a reverse spiral holds the trim command."""
     spiral = m.ReverseSpiral(
-        "n", (0.0,), hold=9.0, gain=2.0, reset_time=5.0, limit=0.3, start=1.0, neutral=0.1
+        "n", (0.0,), hold=9.0, gain=2.0, reset_time=5.0, limit=0.3, start=1.0, trim=0.1
     )
     control = spiral.controller()
     assert control.command(0.0, {"r": 0.0}) == pytest.approx(0.1)
@@ -463,14 +472,14 @@ def test_a_zigzag_about_a_keeper_stays_at_its_depth():
 
 
 def test_zigzag_rate_limit_holds_in_closed_loop():
-    """The rudder moves at 5 deg/s at most, reaches both sides and stays around neutral."""
-    rate, neutral = math.radians(5), 0.02
-    test = m.ZigZag("rudder", 0.3, 0.2, rate=rate, neutral=neutral, start=1.0)
+    """The rudder moves at 5 deg/s at most, reaches both sides and stays around trim."""
+    rate, trim = math.radians(5), 0.02
+    test = m.ZigZag("rudder", 0.3, 0.2, rate=rate, trim=trim, start=1.0)
     _, _, commands, _ = nomoto(test, gain=0.3, heading=0.7)
     assert np.max(np.abs(np.diff(commands))) == pytest.approx(rate * STEP)
-    assert commands[0] == neutral
-    assert commands.max() == pytest.approx(0.3 + neutral)
-    assert commands.min() == pytest.approx(-0.3 + neutral)
+    assert commands[0] == trim
+    assert commands.max() == pytest.approx(0.3 + trim)
+    assert commands.min() == pytest.approx(-0.3 + trim)
 
 
 def test_zigzag_like_changes_its_swings():

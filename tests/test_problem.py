@@ -318,7 +318,7 @@ def test_template_fits_improves_and_designs(tmp_path: Path, template: str) -> No
             sample_time=0.5,
             inputs=[command],
             constants=held,
-            neutral={command: 60.0} if template == "usv" else {},
+            trim={command: 60.0} if template == "usv" else {},
             initial=start,
         ),
         criterion=DOptimal(),

@@ -45,7 +45,7 @@ NOT_SAFE = (
     "run first, or design with --certainty 0.95."
 )
 STOP = (
-    "Stop when a limit is passed: controls neutral, recover, keep the log. Part of a run is useful."
+    "Stop when a limit is passed: controls at trim, recover, keep the log. Part of a run is useful."
 )
 # What a record of a trial states beside its log: ITTC 7.5-04-02-01, full-scale manoeuvring trials.
 RECORD = (
@@ -167,7 +167,7 @@ class TrialCard:
         )
         yield (
             "start from",
-            f"{', '.join(self._start()) or 'rest'}; controls neutral, steady; log 10 s or more "
+            f"{', '.join(self._start()) or 'rest'}; controls at trim, steady; log 10 s or more "
             "before the first order and after the last",
         )
         for name, value in run.constants.items():
@@ -233,7 +233,7 @@ class TrialCard:
         begun = np.unique([begin for begin, _, _ in found])
         quick = float(np.diff(begun).min(initial=np.inf)) < BY_HAND
         rows = [(f"{begin:.6g}", order, f"{end:.6g}") for begin, end, order in found]
-        rows.append((f"{times[-1]:.6g}", "end of the run: controls neutral, recover", ""))
+        rows.append((f"{times[-1]:.6g}", "end of the run: controls at trim, recover", ""))
         table = Table(("at t [s]", "order", "reached [s]"), rows, words=(1,))
         by = "AUTOPILOT ONLY, orders come within 10 s: " if quick else "By hand, or better: "
         words = [f"{by}play the table of commands."]
@@ -283,7 +283,7 @@ class TrialCard:
     def _aborts(self) -> Section:
         """Where the crew stops, and how often that happens."""
         safe = self.assurance
-        title = "STOP THE RUN (controls neutral, recover) when"
+        title = "STOP THE RUN (controls at trim, recover) when"
         if safe is None or not safe.rules:
             return Section(title)
         rows = [

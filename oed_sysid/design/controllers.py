@@ -9,7 +9,7 @@ another run on any other vehicle: it has its own probability of keeping the limi
 (:func:`played`).
 
 Every file holds the same law, with the plan as data: triggers, gains, limits of the commands, rules
-at which the run is broken off, and the neutral commands that follow. Names in the files are those
+at which the run is broken off, and the trim commands that follow. Names in the files are those
 of the channels, which are identifiers; titles keep to a safe alphabet.
 
 A MAVLink mission has no feedback. It serves runs without any whose orders are held: each is a
@@ -205,7 +205,7 @@ def plan_of(
         "period": float(experiment.sample_time),
         "signals": list(dict.fromkeys([*signals, *(rule["signal"] for rule in rules)])),
         "constants": dict(experiment.constants),
-        "neutral": {one["input"]: one["neutral"] for one in channels},
+        "trim": {one["input"]: one["trim"] for one in channels},
         "channels": channels,
         "aborts": rules,
     }
@@ -219,7 +219,7 @@ def _channel(manoeuvre: Manoeuvre, experiment: Experiment) -> dict[str, Any]:
             "input": manoeuvre.input, "kind": "zigzag", "signals": list(manoeuvre.feedback),
             "amplitudes": list(amplitudes), "switches": list(switches), "lead": lead,
             "keep_gain": keep_gain, "rate": manoeuvre.rate, "first": manoeuvre.first,
-            "start": manoeuvre.start, "sign": manoeuvre.sign, "neutral": manoeuvre.neutral,
+            "start": manoeuvre.start, "sign": manoeuvre.sign, "trim": manoeuvre.trim,
             "reference": manoeuvre.reference,
         }  # fmt: skip
     if manoeuvre.feedback:
@@ -230,12 +230,12 @@ def _channel(manoeuvre: Manoeuvre, experiment: Experiment) -> dict[str, Any]:
     table = as_piecewise(manoeuvre.input, experiment.times, manoeuvre.commands(experiment.times))
     return {
         "input": manoeuvre.input, "kind": "table", "times": list(table.times),
-        "values": list(table.values), "neutral": float(table.values[0]),
+        "values": list(table.values), "trim": float(table.values[0]),
     }  # fmt: skip
 
 
 def _mission(plan: dict[str, Any], servos: Mapping[str, Servo]) -> list[str]:
-    """Lines of a mission: servos, then the time until the next order; neutral at the end."""
+    """Lines of a mission: servos, then the time until the next order; trim commands at the end."""
     name = _with_servos(plan, servos)["name"]
     if loops := [one["input"] for one in plan["channels"] if one["kind"] != "table"]:
         raise DesignError(
@@ -259,7 +259,7 @@ def _mission(plan: dict[str, Any], servos: Mapping[str, Servo]) -> list[str]:
     for time, end in zip(times, ends, strict=True):
         items += _servo_items(orders[time], servos)
         items.append((_FRAME, _DELAY, round(end - time, 3)))
-    items += _servo_items(plan["neutral"], servos)
+    items += _servo_items(plan["trim"], servos)
     lines = ["QGC WPL 110"]
     for number, (frame, what, *given) in enumerate(items):
         numbers = [*given, *(0.0 for _ in range(7 - len(given)))]
@@ -281,21 +281,21 @@ def _servo_items(
 
 def _with_servos(plan: dict[str, Any], servos: Mapping[str, Servo]) -> dict[str, Any]:
     """The plan with the calibration of its servos, which have to reach what is ordered."""
-    if missing := [name for name in plan["neutral"] if name not in servos]:
+    if missing := [name for name in plan["trim"] if name not in servos]:
         raise DesignError(
             f"The file needs a servo for {', '.join(missing)}: "
             f"servos={{{missing[0]!r}: Servo(1, -0.4, 0.4)}}."
         )
     for one in plan["channels"]:
         most = [s * a for a in one.get("amplitudes", ()) for s in (-1, 1)]
-        servos[one["input"]].pulses(np.array([one["neutral"] + a for a in most] or one["values"]))
+        servos[one["input"]].pulses(np.array([one["trim"] + a for a in most] or one["values"]))
     return plan | {"servos": {name: asdict(servo) for name, servo in servos.items()}}
 
 
 def _moos_names(model: Model, plan: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
     """MOOS variable and unit of each command; angles in degrees, others as they are."""
     units, found = units_of(model), {}
-    for name in {**plan["constants"], **plan["neutral"]}:
+    for name in {**plan["constants"], **plan["trim"]}:
         if units[name] == "rad":
             turns = name.startswith(("rudder", "delta", "dr"))
             found[name] = ("DESIRED_RUDDER" if turns else "DESIRED_ELEVATOR", degrees(1.0))
@@ -336,8 +336,8 @@ def words(model: Model, plan: Mapping[str, Any]) -> list[str]:
     for rule in plan["aborts"]:
         where = outside(rule["lower"], rule["upper"], units[rule["signal"]])
         lines.append(f"Break off where {rule['signal']} is {where}, or unknown.")
-    neutral = ", ".join(f"{n} = {quantity(v, units[n])}" for n, v in plan["neutral"].items())
-    lines.append(f"At the end, or broken off: {neutral}.")
+    trim = ", ".join(f"{n} = {quantity(v, units[n])}" for n, v in plan["trim"].items())
+    lines.append(f"At the end, or broken off: {trim}.")
     return [lines[0], *(f"{i}. {line}" for i, line in enumerate(lines[1:], start=1))]
 
 
@@ -354,8 +354,8 @@ def _rules(one: Mapping[str, Any], units: Mapping[str, str]) -> list[str]:
     ends = ", ".join(quantity(s, by) for s in one["switches"])
     way = "grown" if one["sign"] * first > 0 else "fallen"
     return [
-        f"Until {one['start']:g} s: {name} = {quantity(one['neutral'], unit)}.",
-        f"Then {name} = {quantity(one['neutral'], unit)} {'+' if first > 0 else '-'} {sizes} "
+        f"Until {one['start']:g} s: {name} = {quantity(one['trim'], unit)}.",
+        f"Then {name} = {quantity(one['trim'], unit)} {'+' if first > 0 else '-'} {sizes} "
         f"(one after the other, the last again and again){rate}.",
         f"Count {_deviation(one, by)}.",
         f"Where D has {way} to {ends} (one after the other), reverse {name} and wait for the "

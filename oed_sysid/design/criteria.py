@@ -66,7 +66,7 @@ from scipy.special import chdtri, chndtr, chndtrinc, ndtr
 
 from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.information import plays, respond
+from oed_sysid.information import commanded_runs, respond
 from oed_sysid.information.shifts import GROUP_WIDTH, Group, Shifts
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
@@ -338,8 +338,8 @@ class _Prediction:
             raise DesignError("Name the manoeuvres to be predicted: manoeuvres=[Experiment(...)].")
         columns = [len(setting.model.states) + setting.model.free_names.index(n)
                    for n in setting.names]  # fmt: skip
-        played = plays(setting.model, self.manoeuvres)
-        rows = np.concatenate([respond(setting.model, play).jacobian for play in played])
+        runs = commanded_runs(setting.model, self.manoeuvres)
+        rows = np.concatenate([respond(setting.model, given).jacobian for given in runs])
         rows = rows[:, :, columns] / setting.sigma[:, None]
         return np.asarray(rows.reshape(-1, len(columns)) * setting.scales)
 

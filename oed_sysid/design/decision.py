@@ -61,7 +61,7 @@ from oed_sysid.errors import DesignError, FileError, located
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.information.noise import Levels
-from oed_sysid.information.response import plays, respond
+from oed_sysid.information.response import commanded_runs, respond
 from oed_sysid.likelihood.between_records import CHANCE
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
@@ -187,7 +187,7 @@ class PredictionGoal:
         """Derivatives of the output at every sample."""
         lacking = f"Model {model.name!r} has no output"
         (column,) = located(DesignError, lacking, [self.output], model.output_names)
-        response = respond(model, plays(model, self.experiment)[0])
+        response = respond(model, commanded_runs(model, self.experiment)[0])
         wanted = [len(model.states) + model.free_names.index(name) for name in names]
         return np.asarray(response.jacobian[:, column, wanted])
 

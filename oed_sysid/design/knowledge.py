@@ -42,7 +42,7 @@ from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.information.bound import RunInformation, information_of, prior_factor, triangle
 from oed_sysid.information.noise import noise_of
-from oed_sysid.information.response import Levels, expected_noise, plays
+from oed_sysid.information.response import Levels, commanded_runs, expected_noise
 from oed_sysid.information.shifts import Shifts
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
@@ -163,8 +163,8 @@ class ExpectedInformation:
         rows = prior_factor(self.model, self.names, "model")
         before[:n, :n] = rows.T @ rows
         told = RunInformation(self.model, self.expected, shifts=self.shifts)
-        for play in plays(self.model, fit.dataset, initial_states=fit.initial_states):
-            factor = told.factor(play)
+        for given in commanded_runs(self.model, fit.dataset, initial_states=fit.initial_states):
+            factor = told.factor(given)
             before += factor.T @ factor
         return replace(self, before=before)
 
@@ -220,7 +220,7 @@ class ExpectedInformation:
         """
         more = 0.0
         if run is not None:
-            factor = self.told().factor(plays(self.model, run)[0])
+            factor = self.told().factor(commanded_runs(self.model, run)[0])
             more = factor.T @ factor
         return self.relative(self.before + more)
 

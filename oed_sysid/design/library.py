@@ -32,7 +32,7 @@ from typing import TypeVar
 import numpy as np
 
 from oed_sysid.design.vehicles import LimitBounds, kept_on
-from oed_sysid.design.waveforms import Grid, neutral_within
+from oed_sysid.design.waveforms import Grid, trim_within
 from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.manoeuvres import Piecewise, ZigZag, schroeder_phases
@@ -96,7 +96,7 @@ class Reference:
 def standard_manoeuvres(bench: Bench) -> list[Standard]:
     """Return zigzags of one designed input that keep the limits.
 
-    It is the first that is an angle and has room on both sides of its neutral value, as the
+    It is the first that is an angle and has room on both sides of its trim value, as the
     angles of a zigzag mean nothing for a speed; else the first with room, else the first about
     the middle of its range. Without an attitude among the outputs or states, a square wave takes
     their place. Amplitude and switching angle are made smaller together until all limits are kept.
@@ -107,7 +107,7 @@ def standard_manoeuvres(bench: Bench) -> list[Standard]:
         Of all designed inputs.
     """
     grid, moved = bench.grid, _moved(bench.model, bench.grid)
-    others = {n: float(v) for n, v in zip(grid.inputs, grid.neutral, strict=True)}
+    others = {n: float(v) for n, v in zip(grid.inputs, grid.trim, strict=True)}
     held = {**bench.held, **{n: v for n, v in others.items() if n not in moved.inputs}}
     bench = replace(bench, grid=moved, held=held, limits=Limits())
     sizes = [(f"zigzag {angle:g}/{angle:g}", radians(angle)) for angle in ZIGZAGS[:2]]
@@ -117,7 +117,7 @@ def standard_manoeuvres(bench: Bench) -> list[Standard]:
     def made(title: str, angle: float) -> Experiment:
         if bench.attitude:
             return bench.zigzag(title, min(angle, bench.reach), angle)
-        return bench.held_commands(title, bench.neutral + angle * bench.reach * square)
+        return bench.held_commands(title, bench.trim + angle * bench.reach * square)
 
     found = []
     for title, angle in sizes if bench.attitude else [("square wave", 1.0)]:
@@ -130,12 +130,12 @@ def standard_manoeuvres(bench: Bench) -> list[Standard]:
 
 def _moved(model: Model, grid: Grid) -> Grid:
     """The one input that a standard manoeuvre moves."""
-    room = np.minimum(grid.upper - grid.neutral, grid.neutral - grid.lower)
+    room = np.minimum(grid.upper - grid.trim, grid.trim - grid.lower)
     able = [name for name, one in zip(grid.inputs, room, strict=True) if one > 0.0]
     units = {channel.name: channel.unit for channel in model.inputs}
     angles = [name for name in able if units[name] == "rad"]
     one = grid.only((angles or able or grid.inputs)[0])
-    return one if able else replace(one, neutral=0.5 * (one.lower + one.upper))
+    return one if able else replace(one, trim=0.5 * (one.lower + one.upper))
 
 
 def as_piecewise(name: str, times: np.ndarray, values: np.ndarray) -> Piecewise:
@@ -327,7 +327,7 @@ class Bench:
                 f"Pattern {pattern.name!r} leaves no input with a range to command. Give "
                 "Limits(inputs={'rudder': (-0.3, 0.3)}), on the command line --limit rudder=-17:17."
             )
-        held |= {n: neutral_within(*limits.inputs[n]) for n in names[1:]}
+        held |= {n: trim_within(*limits.inputs[n]) for n in names[1:]}
         grid = Grid.of(limits, names[:1], length, pattern.sample_time, {})
         return cls(model, grid, held, pattern.initial, limits, LimitBounds.of(model, limits))
 
@@ -337,9 +337,9 @@ class Bench:
         return self.grid.inputs[0]
 
     @property
-    def neutral(self) -> float:
+    def trim(self) -> float:
         """Its value before the run."""
-        return float(self.grid.neutral[0])
+        return float(self.grid.trim[0])
 
     @cached_property
     def known(self) -> set[str]:
@@ -353,9 +353,9 @@ class Bench:
 
     @property
     def reach(self) -> float:
-        """Largest command to either side of the neutral one."""
+        """Largest command to either side of the trim command."""
         grid = self.grid
-        return float(min(grid.upper[0] - grid.neutral[0], grid.neutral[0] - grid.lower[0]))
+        return float(min(grid.upper[0] - grid.trim[0], grid.trim[0] - grid.lower[0]))
 
     @cached_property
     def sign(self) -> int:
@@ -364,7 +364,7 @@ class Bench:
         times = times[: min(len(times), max(5, len(times) // 10))]
         ends = []
         for end in (self.grid.lower[0], self.grid.upper[0]):
-            run = self.held_at(self.neutral + 0.2 * (float(end) - self.neutral), times)
+            run = self.held_at(self.trim + 0.2 * (float(end) - self.trim), times)
             ends.append(float(np.nan_to_num(run.signal(self.attitude)[-1])))
         return 1 if ends[1] >= ends[0] else -1
 
@@ -387,7 +387,7 @@ class Bench:
         rate = float(self.grid.rates[0])
         shape = ZigZag(
             self.name, amplitude, switch, feedback=(self.attitude, *feedback),
-            rate=rate if np.isfinite(rate) else None, sign=self.sign, neutral=self.neutral,
+            rate=rate if np.isfinite(rate) else None, sign=self.sign, trim=self.trim,
             lead=lead, keep_gain=keep_gain,
         )  # fmt: skip
         # A zigzag is flown on what is known best; noise would make it one of many.
@@ -461,12 +461,12 @@ class Bench:
 
     def table(self, kind: str, size: float, wave: np.ndarray) -> Experiment:
         """Commands of one shape and size."""
-        room = np.where(wave > 0, self.grid.upper, self.grid.lower) - self.neutral
-        largest = size * float(self.grid.upper[0] - self.neutral)
+        room = np.where(wave > 0, self.grid.upper, self.grid.lower) - self.trim
+        largest = size * float(self.grid.upper[0] - self.trim)
         unit = next(i.unit for i in self.model.inputs if i.name == self.name)
         said = f"{degrees(largest):.2g} deg" if unit == "rad" else f"{largest:.3g} {unit}"
         name = f"{kind} {said}" if wave.any() else kind
-        return self.held_commands(name, self.neutral + np.abs(room) * (size * wave))
+        return self.held_commands(name, self.trim + np.abs(room) * (size * wave))
 
     def zigzags(self) -> Iterable[tuple[Experiment, float]]:
         """Zigzags on the attitude.
@@ -527,7 +527,7 @@ class Bench:
         """Time in which full control turns the nominal vehicle by an angle, s; None if never."""
         if not self.reach > 0:
             return None
-        run = self.held_at(self.neutral + self.reach, self.grid.times)
+        run = self.held_at(self.trim + self.reach, self.grid.times)
         begin = self.initial.get(self.attitude, 0.0)
         turned = np.abs(np.nan_to_num(run.signal(self.attitude), nan=np.inf) - begin)
         gone = turned >= angle

@@ -322,8 +322,8 @@ class Objective:
     def all_commands(self, numbers: np.ndarray) -> np.ndarray:
         """Commands of all inputs, ``(n_batch, n_times, n_inputs)``."""
         designed = self.shape.commands(numbers)
-        neutral = self.task.neutral
-        commands = np.broadcast_to(neutral, (*designed.shape[:2], len(neutral))).copy()
+        trim = self.task.trim
+        commands = np.broadcast_to(trim, (*designed.shape[:2], len(trim))).copy()
         commands[:, :, self.task.positions] = designed
         return commands
 

@@ -116,8 +116,8 @@ def _different(scores: Sequence[Score]) -> list[Score]:
 def _rough(shape: Shape, grid: Grid, rng: np.random.Generator) -> np.ndarray:
     """Numbers nearest to a rough manoeuvre; in a family that is too narrow, any."""
     unit = rough_commands(grid, rng)
-    room = np.where(unit > 0, grid.upper - grid.neutral, grid.neutral - grid.lower)
-    numbers = shape.start(grid.limited((grid.neutral + room * unit)[None])[0])
+    room = np.where(unit > 0, grid.upper - grid.trim, grid.trim - grid.lower)
+    numbers = shape.start(grid.limited((grid.trim + room * unit)[None])[0])
     return rng.random(shape.size) if numbers is None else numbers
 
 
@@ -132,9 +132,9 @@ def again(objective: Objective, grid: Grid, before: Sequence[Score]) -> list[Sco
 def _largest(
     objective: Objective, grid: Grid, numbers: np.ndarray, *, with_scenarios: bool
 ) -> list[Score]:
-    """Shrink a manoeuvre towards the neutral command until all limits are kept."""
-    # Towards the neutral command, at which nothing moves and most limits are kept.
-    still = objective.shape.start(np.tile(grid.neutral, (len(grid.times), 1)))
+    """Shrink a manoeuvre towards the trim command until all limits are kept."""
+    # Towards the trim command, at which nothing moves and most limits are kept.
+    still = objective.shape.start(np.tile(grid.trim, (len(grid.times), 1)))
     if still is None:
         score = objective.score(numbers, with_scenarios=with_scenarios)
         return [score] if np.isfinite(score.value) else []

@@ -24,7 +24,7 @@ from oed_sysid.design.vehicles import (
     in_own_waves,
 )
 from oed_sysid.design.waveforms import Grid, Levels, Parametrisation
-from oed_sysid.errors import DesignError, located
+from oed_sysid.errors import DesignError, located, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import trajectory_of
 from oed_sysid.physics.model import Model
@@ -47,7 +47,7 @@ class Trial:
         Inputs to design; by default all that have limits and no constant.
     constants : mapping of str to float, optional
         Values of the other inputs.
-    neutral : mapping of str to float, optional
+    trim : mapping of str to float, optional
         Command before the run; by default zero, or the middle of a range without zero.
     initial : mapping of str to float, optional
         Start state.
@@ -68,7 +68,7 @@ class Trial:
     sample_time: float
     inputs: Sequence[str] | None = None
     constants: Mapping[str, float] = field(default_factory=dict)
-    neutral: Mapping[str, float] = field(default_factory=dict)
+    trim: Mapping[str, float] = field(default_factory=dict)
     initial: Mapping[str, float] = field(default_factory=dict)
     end: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     name: str = "designed"
@@ -134,10 +134,13 @@ class Trial:
     def grid(self, model: Model) -> Grid:
         """What the designed commands have to fit in."""
         names = self.designed_inputs(model)
-        grid = Grid.of(self.limits, names, self.duration, self.sample_time, self.neutral)
-        if np.any(grid.neutral < grid.lower) or np.any(grid.neutral > grid.upper):
-            raise DesignError("A neutral command lies outside the range of its input. Correct it.")
+        grid = Grid.of(self.limits, names, self.duration, self.sample_time, self.trim)
+        if np.any(grid.trim < grid.lower) or np.any(grid.trim > grid.upper):
+            raise DesignError("A trim command lies outside the range of its input. Correct it.")
         return grid
+
+
+Trial.__init__ = respelled(DesignError, {"neutral": "trim=..."})(Trial.__init__)  # type: ignore[method-assign]
 
 
 @dataclass(frozen=True)
@@ -260,15 +263,15 @@ class Task:
         return np.array([self.trial.initial.get(n, 0.0) for n in self.model.state_names])
 
     @property
-    def neutral(self) -> np.ndarray:
-        """Neutral commands of all inputs, ``(n_inputs,)``."""
+    def trim(self) -> np.ndarray:
+        """Trim commands of all inputs, ``(n_inputs,)``."""
         base = np.array([self.trial.constants.get(name, 0.0) for name in self.model.input_names])
-        base[self.positions] = self.grid.neutral
+        base[self.positions] = self.grid.trim
         return base
 
     def still(self) -> np.ndarray:
-        """Neutral commands at all samples, ``(n_times, n_inputs)``."""
-        return np.broadcast_to(self.neutral, (len(self.grid.times), len(self.neutral))).copy()
+        """Trim commands at all samples, ``(n_times, n_inputs)``."""
+        return np.broadcast_to(self.trim, (len(self.grid.times), len(self.trim))).copy()
 
     def designed(self, experiment: Experiment) -> np.ndarray:
         """Commands of the designed inputs in some experiment, ``(n_times, n_designed)``."""

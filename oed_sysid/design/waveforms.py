@@ -2,7 +2,7 @@ r"""Families of commands: numbers between 0 and 1 become commands within their l
 
 Amplitude and rate limits of the actuators are kept by construction, so that
 the search only has to mind what the vehicle does. The first sample is always
-the neutral command: nothing jumps before the experiment begins.
+the trim command: nothing jumps before the experiment begins.
 
 Sums of sines, with frequencies that must not be excited left out.
 
@@ -40,7 +40,7 @@ class Grid:
         Samples, s, uniform.
     inputs : tuple of str
         Designed inputs.
-    lower, upper, neutral : ndarray (n_inputs,)
+    lower, upper, trim : ndarray (n_inputs,)
         Range of each, and its value before the experiment.
     rates : ndarray (n_inputs,)
         Largest slopes, per second; infinite for none.
@@ -57,7 +57,7 @@ class Grid:
     inputs: tuple[str, ...]
     lower: np.ndarray
     upper: np.ndarray
-    neutral: np.ndarray
+    trim: np.ndarray
     rates: np.ndarray
 
     @classmethod
@@ -67,12 +67,12 @@ class Grid:
         names: Sequence[str],
         duration: float,
         sample_time: float,
-        neutral: Mapping[str, float],
+        trim: Mapping[str, float],
     ) -> Grid:
         """Return the room that limits leave some inputs, on a run's samples."""
         ranges = [limits.inputs[name] for name in names]
         lower, upper = np.array(ranges, dtype=float).T
-        rest = [neutral.get(n, neutral_within(*r)) for n, r in zip(names, ranges, strict=True)]
+        rest = [trim.get(n, trim_within(*r)) for n, r in zip(names, ranges, strict=True)]
         n_steps = int(np.floor(duration / sample_time + 1e-9))
         # The rate is checked on differences of floating-point sums.
         rates = (1 - 1e-9) * np.array([limits.rates.get(name, np.inf) for name in names])
@@ -82,9 +82,7 @@ class Grid:
     def only(self, name: str) -> Grid:
         """Return the grid of one input."""
         i = [self.inputs.index(name)]
-        return Grid(
-            self.times, (name,), self.lower[i], self.upper[i], self.neutral[i], self.rates[i]
-        )
+        return Grid(self.times, (name,), self.lower[i], self.upper[i], self.trim[i], self.rates[i])
 
     @property
     def step(self) -> float:
@@ -94,7 +92,7 @@ class Grid:
     def limited(self, orders: np.ndarray) -> np.ndarray:
         """Commands that follow orders ``(n_batch, n_times, n_inputs)`` within the limits."""
         commands = np.clip(orders, self.lower, self.upper)
-        commands[:, 0] = self.neutral
+        commands[:, 0] = self.trim
         steps = self.rates * self.step
         if np.isfinite(steps).any():
             for k in range(1, commands.shape[1]):
@@ -103,14 +101,14 @@ class Grid:
         return commands
 
 
-def neutral_within(lower: float, upper: float) -> float:
-    """Neutral command of a range: zero, or the middle of a range without zero.
+def trim_within(lower: float, upper: float) -> float:
+    """Trim command of a range: zero, or the middle of a range without zero.
 
     At its limit an input could move to one side only.
 
     Examples
     --------
-    >>> neutral_within(-0.3, 0.3), neutral_within(1.75, 3.25)
+    >>> trim_within(-0.3, 0.3), trim_within(1.75, 3.25)
     (0.0, 2.5)
     """
     return 0.0 if lower <= 0.0 <= upper else 0.5 * (lower + upper)
@@ -188,14 +186,14 @@ class Levels:
                 f"{n_levels} levels do not fit in {n_times - 1} samples. Ask for fewer levels, a "
                 "shorter sample_time or a longer duration."
             )
-        # The sample at 0 is neutral; level i begins at sample edges[i].
+        # The sample at 0 is at trim; level i begins at sample edges[i].
         edges = 1 + np.floor(np.arange(n_levels) * (n_times - 1) / n_levels).astype(int)
         owner = np.searchsorted(edges, np.arange(n_times), side="right") - 1
         waves = (owner == np.arange(n_levels)[:, None]).astype(float)
-        # What no level takes is neutral.
+        # What no level takes is trim.
         taken = waves.sum(axis=0)[:, None]
         middle = 0.5 * (grid.lower + grid.upper)
-        offset = taken * middle + (1.0 - taken) * grid.neutral
+        offset = taken * middle + (1.0 - taken) * grid.trim
         return _LinearShape(grid, waves, offset, np.unique(np.concatenate([[0], edges])))
 
 
@@ -234,17 +232,17 @@ class _LinearShape:
     def _room(self, wave: np.ndarray) -> np.ndarray:
         """Factors ``(n_batch, 1, n_inputs)`` up to 1 that keep range and rate without clipping."""
         grid = self._grid
-        # The first sample is neutral, so the second is a step from there.
+        # The first sample is trim, so the second is a step from there.
         steps = np.abs(np.diff(np.concatenate([0 * wave[:, :1], wave[:, 1:]], axis=1), axis=1))
         shares = (
-            wave[:, 1:].max(axis=1) / (grid.upper - grid.neutral),
-            -wave[:, 1:].min(axis=1) / (grid.neutral - grid.lower),
+            wave[:, 1:].max(axis=1) / (grid.upper - grid.trim),
+            -wave[:, 1:].min(axis=1) / (grid.trim - grid.lower),
             steps.max(axis=1) / (grid.rates * grid.step),
         )
         return 1.0 / np.maximum(1.0, np.max(shares, axis=0))[:, None]
 
     def start(self, commands: np.ndarray) -> np.ndarray | None:
-        # The first sample is neutral whatever the numbers are.
+        # The first sample is at trim whatever the numbers are.
         wanted = ((commands - self._offset) / self._half)[1:]
         heights, *_ = np.linalg.lstsq(self._waves.T[1:], wanted, rcond=None)
         return np.clip(0.5 * (heights + 1), 0.0, 1.0).ravel()
@@ -306,8 +304,8 @@ class _PulseShape:
             passed = [np.clip((ends - edge) / grid.step, 0, 1) for edge in edges]
             for pulse, (first, last) in enumerate(pairwise(passed)):
                 orders += (-1) ** pulse * height[:, None, block] * (first - last)
-        span = np.where(orders > 0, grid.upper - grid.neutral, grid.neutral - grid.lower)
-        return grid.limited(grid.neutral + orders * span)
+        span = np.where(orders > 0, grid.upper - grid.trim, grid.trim - grid.lower)
+        return grid.limited(grid.trim + orders * span)
 
     def start(self, commands: np.ndarray) -> np.ndarray | None:
         return None
@@ -379,4 +377,4 @@ class Multisines:
         angles = 2 * np.pi * np.outer(multiples / duration, grid.times - grid.times[0])
         # Cosine and sine amplitudes: smooth where amplitude and phase are not.
         waves = np.vstack([np.cos(angles), np.sin(angles)])
-        return _LinearShape(grid, waves, grid.neutral, np.array([0]), clean=bool(self.forbidden))
+        return _LinearShape(grid, waves, grid.trim, np.array([0]), clean=bool(self.forbidden))

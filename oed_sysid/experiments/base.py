@@ -141,9 +141,11 @@ def feedback_of(owner: str, signals: Sequence[str], more: Sequence[str] = ()) ->
     return names
 
 
+#: Settings by other names in files of before.
+OLDER = {"neutral": "trim"}
 #: Rules of settings that mean the same in every manoeuvre.
 RULES: Mapping[str, Rule] = {
-    **dict.fromkeys(("start", "neutral", "initial", "lead", "keep_gain"), finite),
+    **dict.fromkeys(("start", "trim", "initial", "lead", "keep_gain"), finite),
     **dict.fromkeys(("hold", "turn_duration", "pulse_time", "unit_time", "bit_time"), positive),
     **dict.fromkeys(("sweep_time", "first_frequency", "last_frequency"), positive),
     **dict.fromkeys(("amplitude", "limit", "reset_time"), positive),
@@ -257,7 +259,9 @@ class Excitation(ABC):
                 "Use Excitation.from_dict."
             )
         allowed = [field.name for field in _settings(found)]
-        settings = {key: _revived(value) for key, value in data.items() if key != "kind"}
+        settings = {
+            OLDER.get(key, key): _revived(value) for key, value in data.items() if key != "kind"
+        }
         located(ModelError, f"A {name!r} has no setting", settings, allowed)
         try:
             return found(**settings)
@@ -328,16 +332,16 @@ class Manoeuvre(Excitation):
 
 @dataclass(frozen=True)
 class Timed(Manoeuvre):
-    """A command that begins at ``start`` [s] and moves about ``neutral``."""
+    """A command that begins at ``start`` [s] and moves about ``trim``."""
 
     _: KW_ONLY
     start: float = 0.0
-    neutral: float = 0.0
+    trim: float = 0.0
 
     @property
     def _when(self) -> str:
         """When it begins and about what, in words."""
-        return f", from {self.start:g} s" + (f", about {self.neutral:g}" if self.neutral else "")
+        return f", from {self.start:g} s" + (f", about {self.trim:g}" if self.trim else "")
 
 
 class OpenLoop(Manoeuvre):

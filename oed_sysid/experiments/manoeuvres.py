@@ -9,6 +9,8 @@ Examples
 'thrust constant at 700; zigzag 10/10 deg of rudder, reversed on psi, positive side first, from 0 s'
 """
 
+from oed_sysid import errors
+from oed_sysid.experiments import base
 from oed_sysid.experiments.base import (
     Controller,
     Excitation,
@@ -50,3 +52,8 @@ from oed_sysid.experiments.schedules import (
 from oed_sysid.runtime.version import exported
 
 __all__ = exported(globals())
+
+_respelled = errors.respelled(errors.ModelError, {"neutral": "trim=..."})
+for _kind in [kind for kind in map(globals().get, __all__) if isinstance(kind, type)]:
+    if issubclass(_kind, base.Timed):
+        _kind.__init__ = _respelled(_kind.__init__)  # type: ignore[method-assign]

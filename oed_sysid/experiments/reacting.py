@@ -93,10 +93,10 @@ class ZigZag(_Reversing):
     first : int
         Side of the first execute, +1 or -1.
     start : float
-        Time of the first execute [s]; the approach before holds ``neutral``.
+        Time of the first execute [s]; the approach before holds ``trim``.
     sign : int
         +1 if a positive command lets the feedback grow, -1 if it falls.
-    neutral : float
+    trim : float
         Command around which the swings are made [rad].
     reference : float or None
         Value from which the feedback's deviation is counted; None takes the
@@ -196,11 +196,11 @@ class ZigZagLike(_Reversing):
     first : int
         Side of the first command, +1 or -1.
     start : float
-        Time of the first command [s]; before, ``neutral`` is held.
+        Time of the first command [s]; before, ``trim`` is held.
     sign : int
         +1 if a positive command lets the feedback grow, -1 if it falls (a
         positive stern plane lowers the bow).
-    neutral : float
+    trim : float
         Command around which the swings are made [rad].
     reference : float or None
         Value from which the feedback's deviation is counted; None takes the
@@ -249,7 +249,7 @@ class _Swings(base.Controller):
     def __init__(self, settings: ZigZag | ZigZagLike) -> None:
         self._settings = settings
         self._amplitudes, self._switches, self._lead, self._keep_gain = settings.swings
-        self._limit = SlopeLimit(settings.rate, initial=settings.neutral)
+        self._limit = SlopeLimit(settings.rate, initial=settings.trim)
         # Not a number until they are measured.
         self._reference = math.nan if settings.reference is None else settings.reference
         self._kept = math.nan
@@ -258,7 +258,7 @@ class _Swings(base.Controller):
 
     def command(self, time: float, signals: Mapping[str, float]) -> float:
         if time < self._settings.start:
-            return self._limit.follow(self._settings.neutral, time)
+            return self._limit.follow(self._settings.trim, time)
         names = self._settings.feedback
         seen = [measured_signal(self._settings.input, name, signals) for name in names]
         # Headings count from the first measured value, whatever the course of the approach.
@@ -288,7 +288,7 @@ class _Swings(base.Controller):
         self._side = self._settings.first * (-1) ** self._reversals
         self._switch = self._switches[min(self._reversals, len(self._switches) - 1)]
         size = self._amplitudes[min(self._reversals, len(self._amplitudes) - 1)]
-        self._order = self._settings.neutral + self._side * size
+        self._order = self._settings.trim + self._side * size
 
 
 def measured_signal(owner: str, name: str, signals: Mapping[str, float]) -> float:
@@ -340,7 +340,7 @@ class ReverseSpiral(base.Stepwise, base.Timed):
         +1 if a positive command lets the feedback grow, -1 if it falls.
     start : float
         Time of the first rate [s].
-    neutral : float
+    trim : float
         Command about which it moves, held before: 0, or the trim of the command.
 
     Examples
@@ -374,13 +374,13 @@ class ReverseSpiral(base.Stepwise, base.Timed):
         """Return a fresh controller: proportional-integral steering."""
         edges = self.start + self.hold * np.arange(len(self.rates))
         # No time has elapsed at the first sample.
-        integral, before, order = 0.0, math.inf, self.neutral
+        integral, before, order = 0.0, math.inf, self.trim
 
         def command(time: float, signals: Mapping[str, float]) -> float:
             nonlocal integral, before, order
             leg = int(interval(np.array([time]), edges)[0]) - 1
             if leg < 0:
-                return self.neutral
+                return self.trim
             measured = measured_signal(self.input, self.feedback[0], signals)
             elapsed, before = max(time - before, 0.0), time
             if math.isnan(measured):  # no new measurement: keep the command
@@ -389,7 +389,7 @@ class ReverseSpiral(base.Stepwise, base.Timed):
             # An integral beyond the limit could not be undone in time (windup).
             summed = integral + error * elapsed / self.reset_time
             integral = float(np.clip(summed, -self.limit, self.limit))
-            order = self.neutral + float(np.clip(error + integral, -self.limit, self.limit))
+            order = self.trim + float(np.clip(error + integral, -self.limit, self.limit))
             return order
 
         return base.Law(command)

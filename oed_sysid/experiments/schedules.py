@@ -1,7 +1,7 @@
 """Commands that are functions of time: steps and holds, pulses, sequences, tables, sines.
 
 Most are a schedule, times at which the order changes and the order from then on, played as a
-staircase about a neutral command: at once, or at the limited rate of a steering gear.
+staircase about a trim command: at once, or at the limited rate of a steering gear.
 """
 
 from __future__ import annotations
@@ -73,9 +73,9 @@ def staircase(
     return lambda moments: np.interp(moments, corner_times, corner_values)
 
 
-def about(neutral: float, swing: Waveform) -> Waveform:
-    """Return a waveform about a neutral command instead of about zero."""
-    return swing if neutral == 0.0 else lambda moments: neutral + swing(moments)
+def about(trim: float, wave: Waveform) -> Waveform:
+    """Return a waveform about a trim command instead of about zero."""
+    return wave if trim == 0.0 else lambda moments: trim + wave(moments)
 
 
 def within(start: float, end: float, inside: Waveform) -> Waveform:
@@ -112,7 +112,7 @@ class Constant(base.OpenLoop):
 
 
 class Scheduled(base.OpenLoop, base.Timed):
-    """A manoeuvre that is a schedule of orders about a neutral command."""
+    """A manoeuvre that is a schedule of orders about a trim command."""
 
     @abstractmethod
     def schedule(self) -> tuple[Numbers, Numbers]:
@@ -122,7 +122,7 @@ class Scheduled(base.OpenLoop, base.Timed):
         """Return the function of time; the last order is kept."""
         times, orders = self.schedule()
         moments = [self.start + time for time in times]
-        return about(self.neutral, staircase(moments, orders, rate=getattr(self, "rate", None)))
+        return about(self.trim, staircase(moments, orders, rate=getattr(self, "rate", None)))
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class TurningCircle(Scheduled):
         Time of the execute [s].
     rate : float or None
         Largest slope of the command [rad/s]; None lets it jump.
-    neutral : float
+    trim : float
         Command about which it moves, held before: 0, or the trim of the command.
 
     References
@@ -188,7 +188,7 @@ class PullOut(Scheduled):
         Time of the execute [s].
     rate : float or None
         Largest slope of the command [rad/s]; None lets it jump.
-    neutral : float
+    trim : float
         Command about which it moves, held before: 0, or the trim of the command.
 
     Examples
@@ -223,7 +223,7 @@ class PullOut(Scheduled):
 
 
 class Pulses(Scheduled):
-    """Alternating pulses of ``lengths`` in units of time, then neutral again."""
+    """Alternating pulses of ``lengths`` in units of time, then the trim command again."""
 
     lengths: ClassVar[tuple[int, ...]]
     rules: ClassVar[Mapping[str, Rule]] = {"amplitude": base.above_zero(base.OTHER_SIDE)}
@@ -247,7 +247,7 @@ class Pulses(Scheduled):
 
     @property
     def height(self) -> float:
-        """First order about neutral."""
+        """First order about the trim command."""
         return self.first * self.amplitude
 
 
@@ -271,8 +271,8 @@ class Doublet(Pulses):
         Time of the first pulse [s].
     first : int
         Side of the first pulse, +1 or -1.
-    neutral : float
-        Command about which it swings, held before and after: 0, or for instance the
+    trim : float
+        Command about which it moves, held before and after: 0, or for instance the
         revolutions of cruise.
 
     Examples
@@ -317,8 +317,8 @@ class ThreeTwoOneOne(Pulses):
         Time of the first pulse [s].
     first : int
         Side of the first pulse, +1 or -1.
-    neutral : float
-        Command about which it swings, held before and after: 0, or for instance the
+    trim : float
+        Command about which it moves, held before and after: 0, or for instance the
         revolutions of cruise.
 
     References
@@ -371,7 +371,7 @@ class Spiral(Scheduled):
         Time of the first angle [s].
     rate : float or None
         Largest slope of the command [rad/s]; None lets it jump.
-    neutral : float
+    trim : float
         Command about which it moves, held before: 0, or the trim of the command.
 
     Examples
@@ -619,8 +619,8 @@ class PRBS(base.OpenLoop, base.Timed):
         period the sequence begins. Draw it from a generator for a random one.
     start : float
         Time of the first bit [s]; zero before.
-    neutral : float
-        Command about which it swings, held before and after: 0, or for instance the
+    trim : float
+        Command about which it moves, held before and after: 0, or for instance the
         revolutions of cruise.
 
     References
@@ -667,12 +667,12 @@ class PRBS(base.OpenLoop, base.Timed):
         """Return the function of time."""
         levels = self.amplitude * maximum_length_sequence(self.order, seed=self.seed)
 
-        def play(times: FloatArray) -> FloatArray:
+        def bits_at(times: FloatArray) -> FloatArray:
             # Bits are counted, not multiplied out, so that no edge is lost to rounding.
             bits = np.floor((times - self.start) / self.bit_time + base.ROUNDING).astype(int)
             return np.where(bits < 0, 0.0, levels[bits % len(levels)])
 
-        return about(self.neutral, play)
+        return about(self.trim, bits_at)
 
     def describe(self) -> str:
         """Return one line in words."""
@@ -709,8 +709,8 @@ class Multisine(base.OpenLoop, base.Timed):
         a common period are scaled by the sum of their amplitudes.
     start : float
         Time at which it begins [s]; zero before.
-    neutral : float
-        Command about which it swings, held before and after: 0, or for instance the
+    trim : float
+        Command about which it moves, held before and after: 0, or for instance the
         revolutions of cruise.
 
     References
@@ -775,7 +775,7 @@ class Multisine(base.OpenLoop, base.Timed):
         total = float(np.sum(np.asarray(self.amplitudes)))
         if (period := self.period) is None:
             return total
-        # One period about neutral, on a grid of the shortest cycle's parts.
+        # One period about trim, on a grid of the shortest cycle's parts.
         n_points = _OVERSAMPLING * round(period * self.frequencies[-1])
         grid = np.max(np.abs(self._sum(np.arange(n_points) * period / n_points)))
         return min(total, float(grid) / math.cos(math.pi / _OVERSAMPLING))
@@ -787,7 +787,7 @@ class Multisine(base.OpenLoop, base.Timed):
 
     def waveform(self) -> Waveform:
         """Return the function of time."""
-        return about(self.neutral, within(self.start, math.inf, self._sum))
+        return about(self.trim, within(self.start, math.inf, self._sum))
 
     def describe(self) -> str:
         """Return one line in words."""
@@ -843,8 +843,8 @@ class Chirp(base.OpenLoop, base.Timed):
         Equal time for equal differences, or for equal ratios of frequency.
     start : float
         Time at which it begins [s].
-    neutral : float
-        Command about which it swings, held before and after: 0, or for instance the
+    trim : float
+        Command about which it moves, held before and after: 0, or for instance the
         revolutions of cruise.
 
     Examples
@@ -870,7 +870,7 @@ class Chirp(base.OpenLoop, base.Timed):
 
     def waveform(self) -> Waveform:
         """Return the function of time."""
-        return about(self.neutral, within(self.start, self.start + self.sweep_time, self._sweep))
+        return about(self.trim, within(self.start, self.start + self.sweep_time, self._sweep))
 
     def describe(self) -> str:
         """Return one line in words."""

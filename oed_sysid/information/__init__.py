@@ -22,7 +22,7 @@ from oed_sysid.information.ranking import (
     rank_parameters,
     reduce_model,
 )
-from oed_sysid.information.response import Play, Response, plays, respond
+from oed_sysid.information.response import CommandedRun, Response, commanded_runs, respond
 from oed_sysid.runtime.version import exported
 
 __all__ = exported(globals())

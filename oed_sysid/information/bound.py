@@ -27,7 +27,14 @@ from oed_sysid.errors import DesignError, OedSysidError, located, respelled
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information.noise import Levels, noise_of
-from oed_sysid.information.response import Innovations, Play, Run, expected_noise, plays, respond
+from oed_sysid.information.response import (
+    CommandedRun,
+    Innovations,
+    Run,
+    commanded_runs,
+    expected_noise,
+    respond,
+)
 from oed_sysid.information.shifts import Shifts
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
@@ -79,7 +86,7 @@ def information_of(
         Start states are estimated too, exactly known, or known with these
         standard deviations (those left out are unknown).
     initial_states : sequence, optional
-        See :func:`~oed_sysid.information.response.plays`.
+        See :func:`~oed_sysid.information.response.commanded_runs`.
     outputs : sequence of str, optional
         Outputs that are measured; by default all.
 
@@ -108,8 +115,8 @@ def information_of(
     ('K', 'T') [0.00056 0.08128]
     """
     expected = RunInformation(model, noise, start, outputs)
-    listed = plays(model, runs, initial_states=initial_states)
-    return expected.joint([expected.factor(play) for play in listed], priors)
+    listed = commanded_runs(model, runs, initial_states=initial_states)
+    return expected.joint([expected.factor(given) for given in listed], priors)
 
 
 class RunInformation:
@@ -138,20 +145,20 @@ class RunInformation:
         self._shifts = shifts
         self._innovations = None if disturbed is None else Innovations.of(model, disturbed)
 
-    def factor(self, play: Play) -> np.ndarray:
+    def factor(self, given: CommandedRun) -> np.ndarray:
         """Factor of one run on the shared parameters and absent effects, ``(n, n)``."""
         model = self._model
         if self._outputs is not None:
             measured = [name in self._outputs for name in model.output_names]
-            play = replace(play, present=play.present & measured)
-        moved = None if self._shifts is None else partial(self._shifts.columns, play)
+            given = replace(given, present=given.present & measured)
+        moved = None if self._shifts is None else partial(self._shifts.columns, given)
         if self._innovations is not None:
-            return eliminated(model, self._innovations.rows(play, moved), self._start)
-        response = respond(model, play)
-        jacobian, sigma = response.jacobian, noise_of(model, self._levels, changed=play.noise)
+            return eliminated(model, self._innovations.rows(given, moved), self._start)
+        response = respond(model, given)
+        jacobian, sigma = response.jacobian, noise_of(model, self._levels, changed=given.noise)
         if moved is not None:
             jacobian = np.concatenate([jacobian, moved(response.outputs)], axis=2)
-        white = np.where(play.present[:, :, None], jacobian / sigma[:, None], 0.0)
+        white = np.where(given.present[:, :, None], jacobian / sigma[:, None], 0.0)
         return eliminated(model, white.reshape(-1, white.shape[2]), self._start)
 
     def matrix(self, run: Run) -> np.ndarray | None:
@@ -160,7 +167,7 @@ class RunInformation:
         None where it diverges.
         """
         try:
-            factor = self.factor(plays(self._model, run)[0])
+            factor = self.factor(commanded_runs(self._model, run)[0])
         except OedSysidError:
             return None
         return factor.T @ factor

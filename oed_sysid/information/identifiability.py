@@ -15,7 +15,7 @@ import numpy as np
 
 from oed_sysid.errors import DesignError, SimulationError, located
 from oed_sysid.information.bound import RunInformation
-from oed_sysid.information.response import Play, respond
+from oed_sysid.information.response import CommandedRun, respond
 from oed_sysid.likelihood.information import Information
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Report, Section, Table, as_dict, as_text, share
@@ -583,7 +583,7 @@ def structural_identifiability(
     names = tuple(p.name for p in model.free_parameters if not p.per_record)
     times = np.arange(0.0, duration + 0.5 * sample_time, sample_time)
 
-    def random_play() -> Play:
+    def random_run() -> CommandedRun:
         """Random steps of all inputs, from near the start."""
         commands = np.empty((len(times), len(model.inputs)))
         for column, name in enumerate(model.input_names):
@@ -594,7 +594,7 @@ def structural_identifiability(
         own = np.array([(initial or {}).get(state.name, 0.0) for state in model.states])
         own = own + 0.1 * rng.standard_normal(len(own)) * [state.scale for state in model.states]
         present = np.ones((len(times), len(model.outputs)), dtype=bool)
-        return Play("random steps", times, commands, own, present)
+        return CommandedRun("random steps", times, commands, own, present)
 
     def at_random_values() -> Information | None:
         """Information of random runs at random values; None where none stays finite."""
@@ -604,12 +604,12 @@ def structural_identifiability(
             values[one.name] = centre * (1 + spread * rng.uniform(-1, 1))
         drawn, factors = model.within_bounds(values), []
         for _ in range(n_runs):
-            play = random_play()
+            given = random_run()
             with suppress(SimulationError):
-                spans = np.ptp(respond(drawn, play).outputs, axis=0)
+                spans = np.ptp(respond(drawn, given).outputs, axis=0)
                 # Noise in proportion to what each output does: rank must not depend on units.
                 told = RunInformation(drawn, np.where(spans > 0, spans, 1.0), start)
-                factors.append(told.factor(play))
+                factors.append(told.factor(given))
         return told.joint(factors, None) if factors else None
 
     if not (found := [*filter(None, (at_random_values() for _ in range(n_points)))]):

@@ -16,7 +16,7 @@ from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.information.bound import COLOURED, RunInformation
 from oed_sysid.information.identifiability import Subset, identifiable_subset
 from oed_sysid.information.noise import Levels
-from oed_sysid.information.response import Play, Run, plays
+from oed_sysid.information.response import CommandedRun, Run, commanded_runs
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
@@ -227,15 +227,18 @@ def rank_parameters(
     """
     if not change or change <= -1:
         raise DesignError(f"change is {change}. Give a relative change such as 0.2.")
-    played = plays(model, runs, initial_states=initial_states)
+    histories = commanded_runs(model, runs, initial_states=initial_states)
     expected = RunInformation(model, noise, start)
-    factors = [expected.factor(play) for play in played]
+    factors = [expected.factor(given) for given in histories]
     information = expected.joint(factors, priors)
     wanted = tuple(signals) if signals is not None else model.output_names
-    rows = _sensitivities(model, information, played, wanted, change)
+    rows = _sensitivities(model, information, histories, wanted, change)
     # States and inputs in all runs, one behind the other.
     moved = np.vstack(
-        [np.hstack([_signals(model, play, model.state_names), play.inputs]) for play in played]
+        [
+            np.hstack([_signals(model, given, model.state_names), given.inputs])
+            for given in histories
+        ]
     )
     subset = identifiable_subset(
         expected.joint(factors, None),
@@ -244,19 +247,19 @@ def rank_parameters(
         motions=dict(zip((*model.state_names, *model.input_names), moved.T, strict=True)),
     )
     return SensitivityRanking(
-        tuple(rows), change, wanted, tuple(play.name for play in played), information, subset
+        tuple(rows), change, wanted, tuple(given.name for given in histories), information, subset
     )
 
 
 def _sensitivities(
     model: Model,
     information: Information,
-    played: Sequence[Play],
+    histories: Sequence[CommandedRun],
     wanted: Sequence[str],
     change: float,
 ) -> list[Sensitivity]:
     """Each parameter in both views, best determined first."""
-    base = [_signals(model, play, wanted) for play in played]
+    base = [_signals(model, given, wanted) for given in histories]
     with np.errstate(divide="ignore"):
         # The norm of a column of R is the root of the information on that parameter alone.
         alone = 1.0 / np.linalg.norm(information.factor / information.scales, axis=0)
@@ -265,16 +268,18 @@ def _sensitivities(
         parameter = model.parameter(name)
         value, size = parameter.value, parameter.reference
         changed = model.with_values({name: value + change * (value or size)})
-        total, peaks = _indices(base, [_signals(changed, play, wanted) for play in played])
+        total, peaks = _indices(base, [_signals(changed, given, wanted) for given in histories])
         one, together = (float(error / size) for error in errors)
         peaks /= abs(change)
         rows.append(Sensitivity(name, parameter.unit, value, total, peaks, one, together))
     return sorted(rows, key=lambda row: row.error)
 
 
-def _signals(model: Model, play: Play, names: Sequence[str]) -> np.ndarray:
+def _signals(model: Model, given: CommandedRun, names: Sequence[str]) -> np.ndarray:
     """Chosen outputs or states of one run, shape ``(n_times, n_names)``."""
-    run = simulate_inputs(model, play.times, inputs=play.inputs, initial=play.initial, throw=False)
+    run = simulate_inputs(
+        model, given.times, inputs=given.inputs, initial=given.initial, throw=False
+    )
     columns = (*run.states.T, *run.outputs.T)
     known = dict(zip((*run.state_names, *run.output_names), columns, strict=True))
     located(DesignError, f"Model {model.name!r} has no output or state", names, known)
@@ -414,10 +419,10 @@ def reduce_model(
     >>> reduce_model(ship.model, next(iter(ship.experiments.values()))).n_dropped
     0
     """
-    played = plays(model, runs, initial_states=initial_states)
+    histories = commanded_runs(model, runs, initial_states=initial_states)
     expected = RunInformation(model, noise)
-    information = expected.joint([expected.factor(play) for play in played], None)
-    n_samples = sum(int(play.present.sum()) for play in played)
+    information = expected.joint([expected.factor(given) for given in histories], None)
+    n_samples = sum(int(given.present.sum()) for given in histories)
     names = information.names
     values = np.array([model.values[name] for name in names]) / information.scales
     parameters = map(model.parameter, names)

@@ -73,7 +73,7 @@ class Response:
 
 
 @dataclass(frozen=True, eq=False)
-class Play:
+class CommandedRun:
     """Inputs and start of a run, with feedback already resolved.
 
     Attributes
@@ -89,7 +89,7 @@ class Play:
 
     Examples
     --------
-    One of those that :func:`plays` returns; see there.
+    One of those that :func:`commanded_runs` returns; see there.
     """
 
     name: str
@@ -100,12 +100,12 @@ class Play:
     noise: Mapping[str, float] = field(default_factory=dict)
 
 
-def plays(
+def commanded_runs(
     model: Model,
     runs: Run | Dataset | Iterable[Run],
     *,
     initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
-) -> tuple[Play, ...]:
+) -> tuple[CommandedRun, ...]:
     """Return what is commanded in each run, and from which start.
 
     The commands of an experiment with feedback are those of a run of this
@@ -124,7 +124,7 @@ def plays(
 
     Returns
     -------
-    tuple of Play
+    tuple of CommandedRun
         One for each run.
 
     Raises
@@ -136,8 +136,8 @@ def plays(
     --------
     >>> from oed_sysid import load_problem
     >>> ship = load_problem("nomoto_sparse_heading")
-    >>> [play] = plays(ship.model, next(iter(ship.experiments.values())))
-    >>> play.inputs.shape
+    >>> [given] = commanded_runs(ship.model, next(iter(ship.experiments.values())))
+    >>> given.inputs.shape
     (4001, 1)
     """
     listed = (runs,) if isinstance(runs, Experiment | Record) else tuple(runs)
@@ -149,14 +149,14 @@ def plays(
         )
     found = []
     for index, run in enumerate(listed):
-        play = _played(model, run) if isinstance(run, Experiment) else _recorded(model, run)
+        given = _of_experiment(model, run) if isinstance(run, Experiment) else _recorded(model, run)
         if initial_states is not None:
-            play = replace(play, initial=_own(model, initial_states[index], play.initial))
-        found.append(play)
+            given = replace(given, initial=_own(model, initial_states[index], given.initial))
+        found.append(given)
     return tuple(found)
 
 
-def respond(model: Model, play: Play) -> Response:
+def respond(model: Model, given: CommandedRun) -> Response:
     """Simulate one run with derivatives.
 
     Returns
@@ -173,28 +173,32 @@ def respond(model: Model, play: Play) -> Response:
     --------
     >>> from oed_sysid import load_problem
     >>> ship = load_problem("nomoto_sparse_heading")
-    >>> [play] = plays(ship.model, next(iter(ship.experiments.values())))
-    >>> respond(ship.model, play).jacobian.shape
+    >>> [given] = commanded_runs(ship.model, next(iter(ship.experiments.values())))
+    >>> respond(ship.model, given).jacobian.shape
     (4001, 1, 4)
     """
     values = model.value_vector
-    run = kernel(model).simulate(play.times, play.inputs, values, play.initial, sensitivities=True)
+    run = kernel(model).simulate(
+        given.times, given.inputs, values, given.initial, sensitivities=True
+    )
     if not run.ok or run.output_sensitivities is None:
         # The simulator says in words which state grew and what to do.
-        simulate_inputs(model, play.times, inputs=play.inputs, initial=play.initial)
-        raise DesignError(f"The sensitivities of run {play.name!r} are not finite. Shorten it.")
+        simulate_inputs(model, given.times, inputs=given.inputs, initial=given.initial)
+        raise DesignError(f"The sensitivities of run {given.name!r} are not finite. Shorten it.")
     return Response(run.outputs, run.states, run.output_sensitivities)
 
 
-def _played(model: Model, experiment: Experiment) -> Play:
+def _of_experiment(model: Model, experiment: Experiment) -> CommandedRun:
     # Resolved once: for whoever gets the log, commands are given numbers.
     run = trajectory_of(model, experiment)
     own = _own(model, experiment.initial, np.zeros(len(model.states)))
     present = np.ones(run.outputs.shape, dtype=bool)
-    return Play(experiment.name, run.times, run.inputs, own, present, dict(experiment.noise))
+    return CommandedRun(
+        experiment.name, run.times, run.inputs, own, present, dict(experiment.noise)
+    )
 
 
-def _recorded(model: Model, record: Record) -> Play:
+def _recorded(model: Model, record: Record) -> CommandedRun:
     if record.channels.input_names != model.input_names or (
         record.channels.output_names != model.output_names
     ):
@@ -203,7 +207,7 @@ def _recorded(model: Model, record: Record) -> Play:
             "with the model's channels."
         )
     own = first_state(model, record)
-    return Play(record.name, record.times, record.inputs, own, np.isfinite(record.outputs))
+    return CommandedRun(record.name, record.times, record.inputs, own, np.isfinite(record.outputs))
 
 
 def _own(model: Model, given: Mapping[str, float] | np.ndarray, base: np.ndarray) -> np.ndarray:
@@ -252,13 +256,13 @@ class Innovations:
         return cls(model, noise, disturbed_model(model, names), names)
 
     def rows(
-        self, play: Play, changes: Callable[[np.ndarray], np.ndarray] | None = None
+        self, given: CommandedRun, changes: Callable[[np.ndarray], np.ndarray] | None = None
     ) -> np.ndarray:
         """Derivatives of the innovations of one run, in units of their standard deviations.
 
         Parameters
         ----------
-        play : Play
+        given : CommandedRun
             Inputs and start of the run.
         changes : callable, optional
             What else may move the outputs, ``(n_times, n_outputs, n_changes)`` of those without
@@ -277,29 +281,29 @@ class Innovations:
         """
         model, noise, wide = self.model, self.noise, self.wide
         white = noise.white.copy()
-        for name, std in play.noise.items():
+        for name, std in given.noise.items():
             white[model.output_names.index(name)] = std
         random = replace(noise, white=white).disturbed()
-        held = noise.longest_step(play.times)
+        held = noise.longest_step(given.times)
         kernel = filter_kernel(wide)
         # A disturbance is random, and no parameter to be estimated.
         free = tuple(name for name in model.free_names if name not in self.disturbances)
         values = wide.value_vector
-        if not (nominal := kernel.simulate(play.times, play.inputs, values, play.initial)).ok:
+        if not (nominal := kernel.simulate(given.times, given.inputs, values, given.initial)).ok:
             raise DesignError(
-                f"Run {play.name!r} diverges under model {model.name!r}. Make it smaller or "
+                f"Run {given.name!r} diverges under model {model.name!r}. Make it smaller or "
                 "shorter."
             )
         # Fed with what the model says, innovations vanish and their derivatives are those at the
         # truth.
-        measured = np.where(play.present, nominal.outputs, np.nan)
+        measured = np.where(given.present, nominal.outputs, np.nan)
         along = Along(
-            play.times, play.inputs, values, play.initial, measured, random, longest_step=held
+            given.times, given.inputs, values, given.initial, measured, random, longest_step=held
         )
         swept = kernel.filter(along, names=free, rows=True, gains=changes is not None)
         if not swept.ok or swept.rows is None:
             raise DesignError(
-                f"The filter of run {play.name!r} diverges. Check levels and times of the "
+                f"The filter of run {given.name!r} diverges. Check levels and times of the "
                 "disturbance forces, or shorten the run."
             )
         n_columns = len(model.states) + len(free)

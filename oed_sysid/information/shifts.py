@@ -14,8 +14,8 @@ and the Schur complement :math:`G` of the parameters in it is what they cannot i
 (:mod:`oed_sysid.evidence.score`), the expected gain of twice the log-likelihood by adding it.
 
 ``d`` is a derivative at zero where an amplitude may have either sign, else the change from nothing
-to the whole size: play and dead bands have a kink at zero. Shape parameters (a frequency, a time)
-are at their values.
+to the whole size: backlash and dead bands have a kink at zero. Shape parameters (a frequency, a
+time) are at their values.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import DesignError, SimulationError
-from oed_sysid.information.response import TANGENT, Play
+from oed_sysid.information.response import TANGENT, CommandedRun
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
@@ -136,12 +136,12 @@ class Shifts:
             np.concatenate([part.factors for part in parts]), tuple(groups),
         )  # fmt: skip
 
-    def columns(self, play: Play, outputs: np.ndarray) -> np.ndarray:
+    def columns(self, given: CommandedRun, outputs: np.ndarray) -> np.ndarray:
         """Changes of the outputs in one run, ``(n_times, n_outputs, n_columns)``.
 
         Parameters
         ----------
-        play : Play
+        given : CommandedRun
         outputs : ndarray (n_times, n_outputs)
             Of the nominal model.
 
@@ -152,11 +152,13 @@ class Shifts:
         """
         found = np.empty((*outputs.shape, len(self)))
         for position, rival in enumerate(self.models):
-            run = kernel(rival).simulate(play.times, play.inputs, rival.value_vector, play.initial)
+            run = kernel(rival).simulate(
+                given.times, given.inputs, rival.value_vector, given.initial
+            )
             if not run.ok:
                 name = next(g.name for g in self.groups if position in g.columns)
                 raise SimulationError(
-                    f"With {name} of its size run {play.name!r} diverges. Make the run gentler, "
+                    f"With {name} of its size run {given.name!r} diverges. Make the run gentler, "
                     "or give the effect a smaller amplitude."
                 )
             found[:, :, position] = self.factors[position] * (run.outputs - outputs)

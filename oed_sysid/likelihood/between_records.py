@@ -286,7 +286,7 @@ class Sources:
         size = self.matrices.shape[-1]
         matrices, scores = self.matrices.copy(), self.scores.copy()
         if stated is not None and size:
-            # Priors and tests do not share what swings in the records.
+            # Priors and tests do not share what oscillates in the records.
             matrices[1:], scores[1:] = self._grown(stated)
         if allowance is not None and size:
             # (I + H T)^-1 of the head of this module, T being diagonal.

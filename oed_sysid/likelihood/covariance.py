@@ -16,7 +16,7 @@ of the residuals, so that :math:`B` is unbiased where the noise is as declared, 
 is used where the squares of an output are larger than chance makes them, and is
 :math:`\sum_j J_j' J_j` otherwise.
 
-Innovations that swing with a period of their own, as waves and swell leave them.
+Innovations that oscillate with a period of their own, as waves and swell leave them.
 
 A filter takes disturbance forces for first-order Gauss-Markov processes. Those of a sea with a
 narrow
@@ -590,7 +590,7 @@ class ReducedFilter:
 
     @cached_property
     def peaks(self) -> list[Peak]:
-        """Outputs whose innovations swing with a period of their own."""
+        """Outputs whose innovations oscillate with a period of their own."""
         whitened = [
             np.full(one.shape, np.nan) if record.independent else part.innovations / one
             for record, part, one in zip(self.problem.records, self.passes, self.std, strict=True)
@@ -633,7 +633,7 @@ class ReducedFilter:
         return Errors(self.information, covariance, self.sources, bool(self.peaks), scattered)
 
     def _widened(self, period: float) -> np.ndarray:
-        """Covariance where innovations swing with a period, never below that of white ones."""
+        """Covariance where innovations oscillate with a period, never below that of white ones."""
         white, share = self.information.covariance, self._share
         if not np.isfinite(np.diag(white)).any():
             return white

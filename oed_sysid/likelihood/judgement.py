@@ -356,8 +356,8 @@ def _narrow_bands(fit: Estimate) -> Iterator[Found]:
 def _autocorrelations(fit: Estimate) -> Iterator[Found]:
     """One-step errors that remember, after all the noise that the fit knows."""
     found = [one for name, tests in fit.whiteness().items() if (one := _memory(fit, name, tests))]
-    swinging = {peak.output for peak in _peaks(fit)} if found else set()
-    yield from (one for one in found if one.signal not in swinging)
+    periodic = {peak.output for peak in _peaks(fit)} if found else set()
+    yield from (one for one in found if one.signal not in periodic)
 
 
 def _memory(fit: Estimate, name: str, tests: Sequence[Whiteness]) -> Found | None:

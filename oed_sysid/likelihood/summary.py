@@ -168,7 +168,7 @@ def _failed(shooting: Shooting, how: Procedure) -> Fit:
 def summarise_filtered(solution: FilteredSolution, how: Procedure) -> Fit:
     """Build the result of an estimation with disturbance forces from its last iterate.
 
-    Where innovations swing with a period of their own, the covariance is that of
+    Where innovations oscillate with a period of their own, the covariance is that of
     :mod:`oed_sysid.likelihood.covariance`.
 
     Parameters

@@ -261,7 +261,7 @@ def turning_circle(
     notes += _unsteady(model, steered, trim, start)
     orders = [
         # A circle's rudder is counted from amidships, wherever the approach had it.
-        TurningCircle(steered, sign * rudder - trim, rate=rate, neutral=trim)
+        TurningCircle(steered, sign * rudder - trim, rate=rate, trim=trim)
         for sign in (1.0, -1.0)
     ]
     turns = _Turner(tracked, table, start).turns(orders, wanted)

@@ -74,18 +74,18 @@ def run(name: str, port, starboard) -> Experiment:
 RUNS = (
     run(
         "steps",
-        ThreeTwoOneOne("n_port", 20.0, unit_time=4.0, start=2.0, neutral=CRUISE),
-        ThreeTwoOneOne("n_starboard", 20.0, unit_time=5.0, start=4.0, first=-1, neutral=CRUISE),
+        ThreeTwoOneOne("n_port", 20.0, unit_time=4.0, start=2.0, trim=CRUISE),
+        ThreeTwoOneOne("n_starboard", 20.0, unit_time=5.0, start=4.0, first=-1, trim=CRUISE),
     ),
     run(
         "random",
-        PRBS("n_port", 25.0, bit_time=2.0, order=5, neutral=CRUISE),
-        PRBS("n_starboard", 25.0, bit_time=3.0, order=5, seed=9, neutral=CRUISE),
+        PRBS("n_port", 25.0, bit_time=2.0, order=5, trim=CRUISE),
+        PRBS("n_starboard", 25.0, bit_time=3.0, order=5, seed=9, trim=CRUISE),
     ),
     run(
         "turns",
-        Doublet("n_port", 30.0, pulse_time=12.0, start=5.0, neutral=CRUISE),
-        Doublet("n_starboard", 30.0, pulse_time=12.0, start=5.0, first=-1, neutral=CRUISE),
+        Doublet("n_port", 30.0, pulse_time=12.0, start=5.0, trim=CRUISE),
+        Doublet("n_starboard", 30.0, pulse_time=12.0, start=5.0, first=-1, trim=CRUISE),
     ),
 )
 
