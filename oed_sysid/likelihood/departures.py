@@ -13,7 +13,7 @@ compete: the one that explains most is named, others follow once it is mended.
 
 Actuators that did not begin at their first command.
 
-What an actuator remembers (the angle of a fin that lags, the side of a play) begins at the first
+What an actuator remembers (the angle of a fin that lags, the side of a gap) begins at the first
 command of a record. Where the true one was :math:`s` beside it, the outputs miss
 :math:`s\,\partial y/\partial m_0`, and parameters bend to it. As for delays
 (:mod:`oed_sysid.likelihood.departures`), with ``g`` this column of one record, ``J`` those of all

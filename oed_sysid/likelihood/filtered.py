@@ -484,7 +484,7 @@ def active_components(wide: Model, model: Model, *, passing: bool = False) -> np
     """Components of the wide model's full state that a smaller model has.
 
     With ``passing`` the one memory of an absent actuator effect counts among them: where a
-    command stands still, derivatives pass an absent play through what it remembers.
+    command stands still, derivatives pass an absent backlash through what it remembers.
     """
     parts = [(effect.name, len(effect.states), False) for effect in wide.effects]
     for stage in ("actuator", "sensor"):

@@ -532,7 +532,10 @@ class Fit(estimate.Estimate):
         colours = zip(self.model.outputs, noise.colour, noise.colour_time, strict=True)
         rows = [self._noise_row(*one, units.get(one[0], "")) for one in forces]
         rows += [
-            self._noise_row(f"colour of {output.name}", level, time, output.unit)
+            (
+                f"autocorrelated noise of {output.name}",
+                *self._noise_row(f"colour of {output.name}", level, time, output.unit)[1:],
+            )
             for output, level, time in colours
             if level > 0
         ]

@@ -82,7 +82,7 @@ def unknown_start(effect: Actuator, std: float, unit: str = "rad") -> Actuator:
         :func:`~oed_sysid.physics.backlash`: its memories begin at a command.
     std : float
         Standard deviation of the actual value about the first command, in its unit: how far
-        commands move, or half the gap of a play.
+        commands move, or half the gap of a backlash.
     unit : str
         Of the command.
 
@@ -113,7 +113,7 @@ def unknown_start(effect: Actuator, std: float, unit: str = "rad") -> Actuator:
     if not signals:
         raise ModelError(
             f"Effect {effect.name!r} has no memory that begins at a command. Only what remembers, "
-            "as a lag, a delay, a limited rate or a play, has a start."
+            "as a lag, a delay, a limited rate or a backlash, has a start."
         )
     many = len(signals) > 1
     names = {signal: f"start_{effect.name}" + f"_{signal}" * many for signal in signals}
