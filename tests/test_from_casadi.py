@@ -26,6 +26,7 @@ from oed_sysid.export import export
 from oed_sysid.information import rank_parameters
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.start_guess import measured_columns
 from oed_sysid.physics import Force, Parameter
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
@@ -79,7 +80,9 @@ def linear_lift() -> ca.Function:
 
 
 def test_a_casadi_model_is_the_text_model() -> None:
-    """Elementary operations give the same trajectories and the same fit."""
+    """Elementary operations give the same trajectories and the same fit; states are seen."""
+    assert measured_columns(norrbin()) == {0: 0, 1: 1}
+    assert norrbin().kinematics["psi"] == "r"
     record = simulate(written(), experiment(), rng=np.random.default_rng(1))
     estimator = MultipleShooting(disturbances="none")
     fits = [estimator.fit(model, Dataset((record,))) for model in (written(), norrbin())]

@@ -20,8 +20,10 @@ from oed_sysid.evidence.study import Study
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.disturbances import chosen_places
+from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.noise_model import Levels, NoiseModel
 from oed_sysid.likelihood.prediction import unknown_series
 from oed_sysid.likelihood.score_test import CLEAR, ScoreTest, Setting, Start, score_test
 from oed_sysid.likelihood.shooting import Shooting
@@ -245,6 +247,25 @@ def test_parameters_of_each_record_go_with_random_forces() -> None:
         assert found["b_r"] == pytest.approx(truth, abs=0.002)
     assert fit.noise is not None
     assert FORCE / 2 < fit.noise.force[0] < 2 * FORCE
+
+
+@pytest.mark.parametrize("force", [0.0, 2e-3])
+def test_information_holds_whatever_the_length_of_differences(force: float) -> None:
+    """What the gain adds is differenced alone: nothing without process noise, little beside it."""
+    model, data = (SHIP + CUBIC).with_values({"K": 0.5, "T": 4.0}), dataset(3, 5.0, 2)
+    noise = NoiseModel(NOISE, np.zeros(2), np.array([force]), 1.0, 2.0, ("psi", "r"), ("force r",))
+    problem = Filtered(model, data, Levels.of(noise, noise).held())
+    unknowns = problem.point([run.outputs[0] for run in data]).unknowns
+    base = problem.passes(unknowns, rows=True, gains=True)
+    frozen, _ = problem.gathered(unknowns, base)
+    std = 1.0 / np.sqrt(np.maximum(np.diag(frozen), 1e-12))
+    short, one, long = (problem.differentiated(unknowns, base, x * std)[0] for x in (0.01, 1, 30))
+    scale = np.outer(std, std)
+    np.testing.assert_allclose(one * scale, short * scale, atol=1e-6 if force == 0.0 else 0.02)
+    if force == 0.0:
+        np.testing.assert_allclose(long * scale, frozen * scale, atol=1e-6)
+    else:
+        assert np.max(np.abs(one - frozen) * scale) > 1e-3
 
 
 @pytest.mark.slow

@@ -235,7 +235,8 @@ def _divergence(model: Model, trajectory: Trajectory, end: int) -> str:
     if (fastest := _fastest_mode(model, trajectory)) * model.step > _STABLE_PRODUCT:
         return (
             f"{text}. Its fastest motion decays or grows at {fastest:.3g} 1/s, too fast for steps "
-            f"of {model.step:g} s: use replace(model, step={_STABLE_PRODUCT / fastest / 2:.1g})."
+            f"of {model.step:g} s: use replace(model, step={_STABLE_PRODUCT / fastest / 2:.1g}), "
+            "or replace(model, integrator='implicit') if it dies out."
         )
     return f"{text}. Check signs of damping and stiffness, units, and the start state."
 

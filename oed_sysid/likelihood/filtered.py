@@ -383,22 +383,32 @@ class Filtered(Posed):
     def differentiated(
         self, unknowns: np.ndarray, base: Sequence[FilterPass], std: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Matrix and right-hand side of the filter as it is, by differences of whole filters.
+        r"""Matrix and right-hand side of the filter as it is, its gain no longer frozen.
+
+        The derivatives of an innovation :math:`e` by parameters are exact at frozen gain; by
+        differences comes only what the gain adds to them,
+
+        .. math:: \frac{de}{d\theta} = \left.\frac{\partial e}{\partial\theta}\right|_K
+            + \frac{e(\theta + \delta) - e_K(\theta + \delta)}{\delta} ,
+
+        with :math:`e_K` at the gains of ``base``. So a curved path costs no accuracy where gains
+        hardly change, and none at all without process noise; directions that records tell weakly
+        drown in the error of whole differences.
 
         Parameters
         ----------
         unknowns : ndarray (n_unknowns,)
         base : sequence of FilterPass
-            Passes there, with the derivatives of every innovation.
+            Passes there, with the derivatives of every innovation and with their gains.
         std : ndarray (n_unknowns,)
             Sizes of the differences.
         """
         n, n_own, n_levels = self.layout.n_unknowns, self.layout.n_own, len(self.levels)
         width = n_own + len(self.layout.free_names)
         matrix, right = np.zeros((n, n)), np.zeros(n)
-        moved = self._moved(unknowns, std)
+        moved = self._moved(unknowns, base, std)
         for index, (columns, part) in enumerate(zip(self._columns, base, strict=True)):
-            where, _ = self.columns_of(unknowns, index)
+            where, size = self.columns_of(unknowns, index)
             seen = np.isfinite(part.innovations)
             root = np.sqrt(part.variances[seen])
             # Of a scalar innovation: -ln L = (e^2/S + ln S) / 2, whose expected information is
@@ -406,28 +416,27 @@ class Filtered(Posed):
             white = part.innovations[seen] / root
             assert part.rows is not None
             rows = part.rows[seen]
-            size = np.concatenate([np.ones(width), self.levels.scale])
             slope = rows[:, : width + n_levels] * size
             spread = np.zeros_like(slope)
             spread[:, width:] = rows[:, width + n_levels :] * self.levels.scale
             for position, column in enumerate(columns[n_own:], start=n_own):
-                other, length = moved[column, index], std[column]
-                slope[:, position] = (other.innovations[seen] - part.innovations[seen]) / (
-                    root * length
-                )
+                (by_gain, variances), length = moved[column, index], std[column]
+                slope[:, position] += by_gain[seen] / (root * length)
                 # Parameters move the variances of the innovations too, where the vehicle is
                 # unstable much.
-                spread[:, position] = np.log(other.variances[seen] / part.variances[seen]) / length
+                spread[:, position] = np.log(variances[seen] / part.variances[seen]) / length
             matrix[np.ix_(where, where)] += slope.T @ slope + 0.5 * spread.T @ spread
             right[where] -= slope.T @ white + 0.5 * spread.T @ (1.0 - white**2)
         self._add_knowledge(unknowns, matrix, right)
         return matrix, right
 
-    def _moved(self, unknowns: np.ndarray, std: np.ndarray) -> dict[tuple[int, int], FilterPass]:
-        """Passes with each parameter moved, by unknown and record.
+    def _moved(
+        self, unknowns: np.ndarray, base: Sequence[FilterPass], std: np.ndarray
+    ) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]:
+        """What its own gains do to the innovations of each parameter moved, and their variances.
 
-        By one standard deviation, others known: a smaller step says no more of a smooth model, and
-        drowns in rounding that an unstable one amplifies.
+        By unknown and record; each is moved by one standard deviation, others known: a smaller
+        step says no more of a smooth model, and drowns in rounding that an unstable one amplifies.
         """
         noise = self.levels.disturbed(self.noise(unknowns))
         jobs = [
@@ -436,11 +445,15 @@ class Filtered(Posed):
             for column in columns[self.layout.n_own :]
         ]
 
-        def one(job: tuple[int, int]) -> FilterPass:
+        def one(job: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
             column, index = job
             shifted = unknowns.copy()
             shifted[column] += std[column]
-            return self._pass(shifted, index, noise, {"own_columns": False}, {})
+            along, gains = self._along(shifted, index, noise), base[index].gains
+            assert gains is not None
+            whole = self.kernel.filter(replace(along, passing=self.passing), own_columns=False)
+            frozen, _ = self.kernel.replay(along, gains)
+            return whole.innovations - frozen, whole.variances
 
         return dict(zip(jobs, both_cores(one, jobs), strict=True))
 

@@ -354,7 +354,7 @@ def _of_the_filter(problem: Filtered, unknowns: np.ndarray) -> tuple[np.ndarray,
 
     At frozen gain where rounding that an unstable model amplifies would be taken for information.
     """
-    base = problem.passes(unknowns, rows=True)
+    base = problem.passes(unknowns, rows=True, gains=True)
     frozen, right = problem.gathered(unknowns, base)
     step = differences(problem, frozen)
     whole = problem.differentiated(unknowns, base, step)

@@ -278,7 +278,7 @@ def solve_innovations(
 
     def slopes(scaled: np.ndarray) -> list[Any]:
         unknowns = scaled * scale
-        base = problem.passes(unknowns, rows=True)
+        base = problem.passes(unknowns, rows=True, gains=True)
         # A program needs the slope of its cost, not the one that holds over a standard error.
         moved = NEAR * differences(problem, problem.gathered(unknowns, base)[0])
         equations = problem.differentiated(unknowns, base, moved)

@@ -35,7 +35,8 @@ ADVICE = {
     ),
     "diverged": (
         "the model diverges from every start that was tried. Check signs and units of "
-        "the start values, reduce model.step, or bound the parameters."
+        "the start values, reduce model.step (where some motions die out within a step: "
+        "replace(model, integrator='implicit')), or bound the parameters."
     ),
 }
 

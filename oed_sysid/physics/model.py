@@ -150,7 +150,7 @@ class Model(Structure):
         ...     parameters=(Parameter("K", 0.2, "1/s"), Parameter("T", 15.0, "s")),
         ... )
         >>> print(nomoto.equations())
-        psi' = f_psi(r)
+        psi' = r
         r' = f_r(r, delta, K, T)
         measured psi = psi
         measured r = r

@@ -215,7 +215,10 @@ def _columns(
 
 
 def call_text(function: Function) -> str:
-    """Call of a function with its own arguments, as an expression."""
+    """Call of a function with its own arguments, or the one that it hands on, as an expression."""
+    one = ca.SX.sym("one")
+    if function.definition == _recorded(function.name, [one], one):
+        return function.arguments[0]
     return f"{function.name}({', '.join(function.arguments)})"
 
 
