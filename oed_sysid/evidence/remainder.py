@@ -23,7 +23,7 @@ follows motion and commands (:mod:`oed_sysid.likelihood.laws`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +33,7 @@ from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.laws import Law, laws
+from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.likelihood.whole_runs import WholeRuns
 from oed_sysid.runtime.display import as_dict
 
@@ -52,13 +53,16 @@ class RandomForceFound:
     place, unit : str
         Where it acts, ``"force Z"``, and the unit of its level.
     level, time : float
-        Standard deviation and correlation time, s.
+        Standard deviation and correlation time, s; of a sea its period.
     gain : float
-        What dropping it, all else estimated again, loses in twice the log-likelihood.
+        What dropping it (or the whole sea), all else estimated again, loses in twice the
+        log-likelihood.
     elsewhere : float
         Its level on the validation records; NaN without any.
     told : bool
         Whether the validation records tell the levels estimated there from those of the training.
+    narrow_band : bool
+        Whether it is that of a sea.
     """
 
     place: str
@@ -68,8 +72,11 @@ class RandomForceFound:
     gain: float
     elsewhere: float
     told: bool = True
+    narrow_band: bool = False
 
-    to_dict = as_dict("place", "unit", "level", "time", "gain", level_on_validation="elsewhere")
+    to_dict = as_dict(
+        "place", "unit", "level", "time", "gain", "narrow_band", level_on_validation="elsewhere"
+    )
 
     @property
     def is_the_same_elsewhere(self) -> bool:
@@ -77,8 +84,9 @@ class RandomForceFound:
 
         Level and time of a short force are told together only, and each badly where records are
         short: levels that differ say nothing where the records are as likely with the same ones.
+        Another day has another sea.
         """
-        if np.isnan(self.elsewhere) or not self.told:
+        if np.isnan(self.elsewhere) or not self.told or self.narrow_band:
             return True
         low, high = sorted((self.level, self.elsewhere))
         return bool(low > 0 and high / low < SAME_LEVEL)
@@ -90,6 +98,8 @@ class RandomForceFound:
         what = {"actuator": f"noise on {signal}", "force": f"disturbance force in {signal}"}
         name = what.get(stage, f"disturbance {stage} of {signal}")
         time = f", {self.time:.2g} s" if self.time > 0 else ""
+        if self.narrow_band:
+            name, time = f"narrow-band {name}", f", period {self.time:.2g} s"
         return f"{name}, {self.level:.2g} {self.unit}{time}".replace(" ,", ",")
 
 
@@ -231,7 +241,8 @@ def remains(study: Study, fit: FilteredSolution) -> Remains:
     if noise.is_white:
         return Remains(0.0, None)
     every = np.ones(len(noise.force), dtype=bool)
-    forces = max(_without(study, fit, every), 0.0) if noise.has_forces else 0.0
+    declared = noise.seas if study.setting.seas else ()
+    forces = max(_without(study, fit, every, declared), 0.0) if noise.has_forces else 0.0
     time = _sensor_time(study, fit)
     if forces < REMAINDER_LIMIT:
         return Remains(forces, time, follows=() if time is None else followed(fit))
@@ -250,25 +261,41 @@ def _forces(
     study: Study, fit: FilteredSolution, validated: FilteredSolution | None
 ) -> Iterator[RandomForceFound]:
     """Every disturbance force that is real, and its level on the validation records."""
-    noise = fit.noise
-    elsewhere, told = np.full(len(noise.force), np.nan), False
+    noise, elsewhere, told = fit.noise, dict[tuple[str, bool], float](), False
     if validated is not None and study.validation is not None:
-        elsewhere = validated.noise.force
+        elsewhere = {one[:2]: one[2] for one in _strengths(validated.noise)}
         # Whether validation records are clearly likelier with levels of their own.
         same = study.on_records(fit, study.validation, same_forces=True)
         told = _lost(validated, same) > REMAINDER_LIMIT
     units = {place.name: place.unit for place in places(study.base)}
-    for index in np.flatnonzero(noise.force > 0):
-        gain = _without(study, fit, np.arange(len(noise.force)) == index)
+    seas = study.setting.seas and noise.seas  # declared ones are given, not asked
+    none = np.zeros(len(noise.force), dtype=bool)
+    for name, narrow_band, level, time in _strengths(noise):
+        if narrow_band and seas:
+            continue
+        gone = none if narrow_band else np.array([place == name for place in noise.places])
+        gain = _without(study, fit, gone, seas if narrow_band else noise.seas)
         if gain > REMAINDER_LIMIT:
-            level, tau = float(noise.force[index]), float(noise.force_time[index])
-            name, other = noise.places[index], float(elsewhere[index])
-            yield RandomForceFound(name, units.get(name, ""), level, tau, gain, other, told)
+            other = elsewhere.get((name, narrow_band), np.nan)
+            yield RandomForceFound(
+                name, units.get(name, ""), level, time, gain, other, told, narrow_band
+            )
 
 
-def _without(study: Study, fit: FilteredSolution, gone: np.ndarray) -> float:
-    """What dropping some disturbances, all else estimated again, loses."""
-    levels = study.levels(fit.noise, study.train).without_forces(gone)
+def _strengths(noise: NoiseModel) -> Iterator[tuple[str, bool, float, float]]:
+    """Place, whether of a sea, level, and time or period of every disturbance that acts."""
+    for name, level, time in zip(noise.places, noise.force, noise.force_time, strict=True):
+        if level > 0:
+            yield name, False, float(level), float(time)
+    for sea in noise.seas:
+        for name, level in (sea.levels or {}).items():
+            if level > 0:
+                yield name, True, level, float(sea.period or np.nan)
+
+
+def _without(study: Study, fit: FilteredSolution, gone: np.ndarray, seas: Sequence[Sea]) -> float:
+    """What dropping some disturbances and all but some seas, all else estimated again, loses."""
+    levels = study.levels(replace(fit.noise, seas=tuple(seas)), study.train).without_forces(gone)
     return _lost(fit, study.with_levels(fit, levels))
 
 
