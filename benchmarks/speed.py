@@ -516,16 +516,16 @@ CANDIDATES = 30
 def six_degrees_task() -> tuple[Model, Dataset, Dataset]:
     """The nominal model with ten drags, derivatives 10 to 30 % wrong, and both sets of records."""
     from benchmarks.other_vehicles.judge import datasets
-    from benchmarks.other_vehicles.models.auv import NOMINAL
+    from benchmarks.other_vehicles.models import nominal
     from benchmarks.other_vehicles.truth import VEHICLES
     from benchmarks.other_vehicles.truth.simulator import simulate
 
     auv = replace(VEHICLES["auv"], sample=0.05, substep=0.05)
-    rng = np.random.default_rng(36030)
+    own, rng = nominal("auv"), np.random.default_rng(36030)
     runs = simulate(auv, {"lag:stern": 0.25}, rng=rng)
-    model = NOMINAL.model(True, None)
+    model = own.model(True, None)
     for name in DRAGS:
-        model = model + NOMINAL.effect(name)
+        model = model + own.effect(name)
     wrong = rng.uniform(0.1, 0.3, len(auv.free)) * rng.choice([-1, 1], len(auv.free))
     start = {k: v * (1 + e) for (k, v), e in zip(auv.free.items(), wrong, strict=True)}
     model = model.with_values({k: v for k, v in start.items() if k in model.parameter_names})
@@ -534,12 +534,12 @@ def six_degrees_task() -> tuple[Model, Dataset, Dataset]:
 
 def six_degrees(*, search: bool = True) -> Iterator[Measured]:
     """A white fit, one with process noise, and a search; compiling is left out."""
-    from benchmarks.other_vehicles.models.auv import NOMINAL
+    from benchmarks.other_vehicles.models import nominal
 
-    model, train, test = six_degrees_task()
+    own, (model, train, test) = nominal("auv"), six_degrees_task()
     n_samples = sum(int(np.isfinite(record.outputs).sum()) for record in train)
     print(f"{len(model.state_names)} states, {len(model.free_names)} free, {n_samples} samples")
-    full = model + NOMINAL.effect("stern_lag")
+    full = model + own.effect("stern_lag")
     size = f"12 states, {n_samples:,} samples, on the clock"
     for words, disturbances, target in (("white", "none", 2.5), ("process noise", "auto", 30.0)):
         estimator = MultipleShooting(noise="given", disturbances=disturbances)
@@ -549,8 +549,8 @@ def six_degrees(*, search: bool = True) -> Iterator[Measured]:
         yield Measured(f"fit, {words}, {size}", wall, target, "s")
     if not search:
         return
-    others = [effect for effect in NOMINAL.candidates if effect.name not in DRAGS]
-    chosen = [NOMINAL.effect("stern_lag"), *others][: CANDIDATES + 1]
+    others = [effect for effect in own.candidates if effect.name not in DRAGS]
+    chosen = [own.effect("stern_lag"), *others][: CANDIDATES + 1]
     chosen = list({effect.name: effect for effect in chosen}.values())[:CANDIDATES]
     words = f"improve, {len(chosen)} candidates"
     found, wall = timed(words, lambda: improve(model, train, test, candidates=chosen))

@@ -21,9 +21,10 @@ from benchmarks.missing_physics.simulator import PRIORS, TEST, TRAIN, Case, Nois
 from benchmarks.other_vehicles import run as runner
 from benchmarks.other_vehicles.cases import PATTERN, draw_case, single_effect
 from benchmarks.other_vehicles.cases import draws as draws_vehicles
-from benchmarks.other_vehicles.judge import nominal, nominal_model, true_model
+from benchmarks.other_vehicles.judge import nominal_model, true_model
 from benchmarks.other_vehicles.measures import as_markdown as as_markdown_vehicles
 from benchmarks.other_vehicles.measures import measures as measures_vehicles
+from benchmarks.other_vehicles.models import nominal
 from benchmarks.other_vehicles.truth import VEHICLES, auv, catamaran, coaster
 from benchmarks.other_vehicles.truth.detect import gains
 from benchmarks.other_vehicles.truth.simulator import Manoeuvre, Plant, Vehicle, constant, multisine

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.other_vehicles.cases import Case, Draw, draw_case
-from benchmarks.other_vehicles.models.base import Nominal
+from benchmarks.other_vehicles.models import nominal
 from benchmarks.other_vehicles.truth.simulator import Runs, Vehicle
 from benchmarks.rates import at_most, detectable, finite, searched
 from oed_sysid import Dataset, Model, MultipleShooting, Record, compare
@@ -18,13 +18,6 @@ from oed_sysid import Dataset, Model, MultipleShooting, Record, compare
 DETECTABLE = 36.0
 # On validation records a claim needs a gain as well; from this on it cannot be missed.
 CONFIRMABLE = 16.0
-
-
-def nominal(vehicle: str) -> Nominal:
-    """The nominal model and candidates of a vehicle."""
-    from importlib import import_module
-
-    return import_module(f"benchmarks.other_vehicles.models.{vehicle}").NOMINAL
 
 
 def datasets(vehicle: Vehicle, runs: Runs, model: Model) -> tuple[Dataset, Dataset]:

@@ -1,1 +1,0 @@
-"""The same vehicles as a stranger would write them with the package's public names."""
