@@ -7,61 +7,60 @@ Without names the quick ones run, about two minutes in all.
 
 from __future__ import annotations
 
-import argparse
 import ast
 import os
-import re
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.harness import ONE_THREAD
+from benchmarks.harness import ONE_THREAD, command, known
 
 FOLDER = Path(__file__).resolve().parent
 QUICK = ("kernel", "information", "startup", "score", "growth", "swarm", "fit_speed")
-# A part of ``speed`` and what it measures, in the docstring.
-PART = re.compile(r"^(\w+)\n    (.+)$", re.MULTILINE)
-PARTS = ("__init__", "__main__", "harness", "kinematics", "rates", "truth")
+PARTS = ("__init__", "__main__", "harness", "rates", "truth")
 
 
 def benchmarks() -> dict[str, str]:
-    """First line of the docstring of every benchmark, by name."""
+    """First line of the docstring of every benchmark and of every part of ``speed``, by name."""
     paths = {p.stem: p for p in sorted(FOLDER.glob("*.py")) if p.stem not in PARTS}
     paths |= {p.parent.name: p for p in sorted(FOLDER.glob("*/__main__.py"))}
-    texts = {
-        name: ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
-        for name, path in paths.items()
-    }
-    found = {name: text.partition("\n")[0] for name, text in texts.items()}
-    return found | dict(PART.findall(texts["speed"]))
+    trees = {name: ast.parse(path.read_text("utf-8")) for name, path in paths.items()}
+    parts = [
+        node
+        for node in trees["speed"].body
+        if isinstance(node, ast.FunctionDef) and "Measured" in ast.unparse(node.returns or node)
+    ]
+    texts = {name: ast.get_docstring(tree) or "" for name, tree in trees.items()}
+    texts |= {part.name: ast.get_docstring(part) or "" for part in parts}
+    return {name: text.partition("\n")[0] for name, text in texts.items()}
 
 
-def main() -> int:
-    """Run what is asked for; return the number of benchmarks that failed."""
-    known = benchmarks()
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    parser.add_argument("names", nargs="*", default=list(QUICK))
-    parser.add_argument("--list", action="store_true", help="only list them")
-    options = parser.parse_args()
-    names = list(known) if options.names == ["all"] else options.names
-    if unknown := [name for name in names if name not in known]:
-        parser.error(f"no benchmark {unknown[0]!r}; there are {', '.join(known)}")
-    for name, text in known.items():
-        print(f"{'*' if name in names and not options.list else ' '} {name:18} {text}")
-    if options.list:
-        return 0
+def main(names: Sequence[str] = QUICK, *, list: bool = False) -> int:
+    """Run what is asked for; return the number of benchmarks that failed.
+
+    Parameters
+    ----------
+    names : sequence of str
+        of those that are listed, or all
+    list : bool
+        only list them
+    """
+    found = benchmarks()
+    chosen = [*found] if [*names] == ["all"] else [known(n, found, "benchmark") for n in names]
+    for name, text in found.items():
+        print(f"{'*' if name in chosen and not list else ' '} {name:18} {text}")
     failed = []
-    for name in names:
+    for name in () if list else chosen:
         print(f"\n== {name}", flush=True)
         is_file = (FOLDER / f"{name}.py").exists() or (FOLDER / name).is_dir()
         words = [f"benchmarks.{name}"] if is_file else ["benchmarks.speed", name]
-        command = [sys.executable, "-m", *words]
-        if subprocess.run(command, env={**os.environ, **ONE_THREAD}, check=False).returncode:
-            failed.append(name)
+        ran = subprocess.run([sys.executable, "-m", *words], env={**os.environ, **ONE_THREAD})
+        failed += [name] * bool(ran.returncode)
     if failed:
         print(f"\nfailed: {', '.join(failed)}")
     return len(failed)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(command(main))

@@ -303,7 +303,7 @@ def main(
     problems: Sequence[str] = tuple(SYSTEMS),
     worlds: Sequence[str] = tuple(ACTING),
     estimators: Sequence[str] = tuple(ESTIMATORS),
-    n_jobs: int = 1,
+    jobs: int = 1,
     minutes: float = 1e9,
 ) -> None:
     """Run what is not in the store, and write page and picture.
@@ -314,10 +314,6 @@ def main(
         records of each system in each world
     problems, worlds, estimators : sequence of str
         what is run
-    n_jobs : int
-        processes
-    minutes : float
-        time after which the rest is left for the next run; 0 only writes the page
     """
     for world in worlds:
         known(world, WORLDS, "world")
@@ -326,7 +322,7 @@ def main(
         run_cases(
             STORE,
             {key: partial(run_case, *key) for key in keys},
-            n_jobs=n_jobs,
+            n_jobs=jobs,
             minutes=minutes,
             tell=lambda row: f"{row['problem']} {row['world']} seed {row['seed']}",
         )

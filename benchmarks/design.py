@@ -3,23 +3,21 @@
     OMP_NUM_THREADS=1 python -m benchmarks.design [remus nps mariner] [--confirm 60]
     OMP_NUM_THREADS=1 python -m benchmarks.design nps --angles 10 --robust
 
-Two comparisons: within the *envelope* of the zigzag N/N the design gets the
-zigzag's own actuator amplitude, rate and largest attitude as limits; within
-the limits of the *vehicle* both may use what is allowed at sea (the zigzag
-does not use all of it). Priors are ignored, start states are unknown.
-``--confirm`` repeats both experiments with noise and fits each; ``--robust``
-replays designs with and without caution on vehicles with other coefficients.
+Within the *envelope* of the zigzag N/N the design gets the zigzag's own actuator amplitude, rate
+and largest attitude as limits; within the limits of the *vehicle* both may use what is allowed at
+sea. Priors are ignored, start states are unknown.
 """
 
 from __future__ import annotations
 
-import argparse
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import radians
 
 import numpy as np
 
+from benchmarks.harness import command, known
 from oed_sysid import (
     Experiment,
     Force,
@@ -189,6 +187,7 @@ def mariner() -> System:
 
 
 SYSTEMS = {"remus": remus, "nps": nps, "mariner": mariner}
+CRITERIA = {"D": DOptimal(), "A": AOptimal(), "E": EOptimal()}
 
 
 def gains(model: Model, zigzag: Experiment, other: Experiment) -> tuple[float, float]:
@@ -319,26 +318,43 @@ def robustness(
         )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("systems", nargs="*", default=list(SYSTEMS))
-    parser.add_argument("--angles", nargs="+", type=float, default=[5.0, 10.0])
-    parser.add_argument("--confirm", type=int, default=0)
-    parser.add_argument("--robust", action="store_true")
-    parser.add_argument("--vehicle", action="store_true", help="only within the vehicle's limits")
-    parser.add_argument("--criterion", choices=list("DAE"), default="D")
-    options = parser.parse_args()
-    criterion = {"D": DOptimal(), "A": AOptimal(), "E": EOptimal()}[options.criterion]
-    for name in options.systems:
-        system = SYSTEMS[name]()
-        for degrees in options.angles:
-            if options.robust:
+def main(
+    systems: Sequence[str] = tuple(SYSTEMS),
+    *,
+    angles: Sequence[float] = (5.0, 10.0),
+    confirm: int = 0,
+    robust: bool = False,
+    vehicle: bool = False,
+    criterion: str = "D",
+) -> None:
+    """Compare, or replay on other vehicles.
+
+    Parameters
+    ----------
+    systems : sequence of str
+        remus, nps, mariner
+    angles : sequence of float
+        of the zigzags, degrees
+    confirm : int
+        repetitions with noise
+    robust : bool
+        replay designs on vehicles with other coefficients instead
+    vehicle : bool
+        only within the vehicle's limits
+    criterion : str
+        D, A or E
+    """
+    chosen = CRITERIA[known(criterion, CRITERIA, "criterion")]
+    for name in systems:
+        system = SYSTEMS[known(name, SYSTEMS, "system")]()
+        for degrees in angles:
+            if robust:
                 for informed in (False, True):
                     robustness(name, system, degrees, informed=informed)
                 continue
-            for envelope in (False,) if options.vehicle else (True, False):
-                compare(name, system, degrees, options.confirm, criterion, envelope=envelope)
+            for envelope in (False,) if vehicle else (True, False):
+                compare(name, system, degrees, confirm, chosen, envelope=envelope)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -2,44 +2,31 @@
 
     OMP_NUM_THREADS=1 python -m benchmarks.design_peers [cases] [--python PATH]
 
-REMUS-like AUV in the diving plane, 0.5 s, start at level trim and known, held levels of
-the fin within 20 degrees, pitch within 45 degrees, depth 2 to 60 m, criteria
-D, A and E in units of the parameters' values, no priors; each tool is asked for the criterion that
-it is judged by. The peer runs in a process of its own with
-the interpreter of ``--python`` (``pip install pyomo numpy scipy pandas packaging`` there) and
-begins with a square wave; ``--begin ours`` lets it try to improve on our design instead.
-Without a program ``ipopt`` on the path, the stand-in of
-:mod:`benchmarks.peers.ipopt_program` is used, and said so. Both designs are judged by
-our information, and simulated against the limits. Times are on the clock, processor times
-in brackets.
+The peer runs in a process of its own with the interpreter of ``--python`` (``pip install pyomo
+numpy scipy pandas packaging`` there) and begins with a square wave; ``--begin ours`` lets it try to
+improve on our design instead. Each tool is asked for the criterion that it is judged by. Both
+designs are judged by our information, and simulated against the limits. Times are on the clock,
+processor times in brackets.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import radians
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.design import CRITERIA as OURS
 from benchmarks.design import remus
 from benchmarks.fit_peers import ipopt_program, run_peer
-from benchmarks.harness import machine
+from benchmarks.harness import command, known, machine
 from oed_sysid import Experiment, Limits
-from oed_sysid.design import (
-    AOptimal,
-    Design,
-    DOptimal,
-    EOptimal,
-    Knowledge,
-    Levels,
-    Search,
-    design_experiment,
-)
+from oed_sysid.design import Design, Knowledge, Levels, Search, design_experiment
 from oed_sysid.design.library import as_piecewise
 from oed_sysid.experiments.simulation import Trajectory, simulate, simulate_inputs
 from oed_sysid.information import information_of
@@ -53,6 +40,8 @@ LIMITS = Limits(
 )
 INITIAL = {"u": 1.519, "z": 20.0}
 LONGEST = 480.0
+# Of Pyomo.DoE: scale of sensitivities, relative step of differences, margin of pitch, solver.
+SCALE, DIFFERENCE, MARGIN, IPOPT = 1e-3, 1e-2, radians(0.5), ("max_iter=500",)
 
 
 @dataclass(frozen=True)
@@ -88,7 +77,7 @@ CASES = {
 
 
 # What is asked, of us and of the peer. Its E needs cyipopt, which no wheel brings.
-CRITERIA = {"D": (DOptimal(), "determinant"), "A": (AOptimal(), "trace"), "E": (EOptimal(), "")}
+CRITERIA = {"D": "determinant", "A": "trace", "E": ""}
 
 
 def designed(case: Case, n_starts: int = 3, criterion: str = "D") -> Design:
@@ -96,7 +85,7 @@ def designed(case: Case, n_starts: int = 3, criterion: str = "D") -> Design:
     return design_experiment(
         case.model,
         replace(remus(), duration=case.duration).trial(LIMITS),
-        criterion=CRITERIA[criterion][0],
+        criterion=OURS[criterion],
         rng=np.random.default_rng(1),
         search=Search(family=Levels(case.n_levels), n_starts=n_starts, n_workers=1),
         knowledge=Knowledge(prior=None, start="known"),
@@ -159,39 +148,39 @@ def row(name: str, case: Case, levels: np.ndarray, clock: float, used: float) ->
     )
 
 
-def compare(name: str, case: Case, asked: str, options: argparse.Namespace) -> None:
+def compare(
+    name: str, case: Case, asked: str, python: str, *, starts: int, begin_ours: bool
+) -> None:
     """One case and criterion by both."""
     free = case.model.free_names
     print(f"{name}, criterion {asked}: {case.duration:g} s, {case.n_levels} levels, "
           f"{len(free)} parameters")  # fmt: skip
     clock, used = time.perf_counter(), time.process_time()
-    design = designed(case, options.starts, asked)
+    design = designed(case, starts, asked)
     ours = levels_of(case, design)
     clock, used = time.perf_counter() - clock, time.process_time() - used
     print(row("oed_sysid", case, ours, clock, used), flush=True)
-    if not CRITERIA[asked][1]:
+    if not CRITERIA[asked]:
         print("  Pyomo.DoE                  asked for this it wants cyipopt, which is not there")
         return
     # Its rule of integration differs from ours: bounds a little tighter keep the true limits.
-    margin = radians(options.margin)
-    first = ours if options.begin == "ours" else square(case)
-    first = inside(case, first, radians(44) - margin)
+    first = inside(case, ours if begin_ours else square(case), radians(44) - MARGIN)
     print(row("start of Pyomo.DoE", case, first, 0.0, 0.0), flush=True)
     run = judge(case, first)[2]
     guess = np.stack([run.signal(s.name) for s in case.model.states], axis=1)
     low, high = np.full(5, -np.inf), np.full(5, np.inf)
     low[3:], high[3:] = np.transpose([LIMITS.signals["theta"], LIMITS.signals["z"]])
-    low[3] += margin
-    high[3] -= margin
+    low[3] += MARGIN
+    high[3] -= MARGIN
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "task.npz"
         np.savez(
-            path, objective=np.array(CRITERIA[asked][1]), times=run.times, owner=case.owner,
+            path, objective=np.array(CRITERIA[asked]), times=run.times, owner=case.owner,
             start=guess[0], levels=first, guess=guess, corridor=np.stack([low, high]), reach=REACH,
-            thrust=THRUST, free=np.array(free), scale=options.scale, step=options.step,
-            options=np.array(options.ipopt),
+            thrust=THRUST, free=np.array(free), scale=SCALE, step=DIFFERENCE,
+            options=np.array(IPOPT),
         )  # fmt: skip
-        found = run_peer(("benchmarks.peers.pyomo_doe",), path, [options.python], LONGEST)
+        found = run_peer(("benchmarks.peers.pyomo_doe",), path, [python], LONGEST)
     if isinstance(found, str):
         print(f"  Pyomo.DoE                  {found}", flush=True)
         return
@@ -199,7 +188,7 @@ def compare(name: str, case: Case, asked: str, options: argparse.Namespace) -> N
     print(row("Pyomo.DoE", case, levels, found["clock"], found["seconds"]))
     values = judge(case, ours)[0][asked], judge(case, levels)[0][asked]
     ahead = values[0] - values[1] if asked == "D" else float(np.log(values[1] / values[0]))
-    own = found["value"] - 2 * len(free) * np.log(options.scale)
+    own = found["value"] - 2 * len(free) * np.log(SCALE)
     print(
         f"    {found['status']}; of it {found['solve']:.1f} s optimisation; its own log det "
         f"{own:.2f}; clock over ours {found['clock'] / clock:.0f}; ours ahead in {asked} by "
@@ -208,26 +197,37 @@ def compare(name: str, case: Case, asked: str, options: argparse.Namespace) -> N
     )
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("cases", nargs="*", default=["small", "medium"], help=", ".join(CASES))
-    parser.add_argument("--python", default=sys.executable, help="interpreter that has Pyomo")
-    parser.add_argument("--criteria", nargs="+", choices=list(CRITERIA), default=list(CRITERIA))
-    parser.add_argument("--begin", choices=["square", "ours"], default="square")
-    parser.add_argument("--starts", type=int, default=3, help="starts that we refine")
-    parser.add_argument("--scale", type=float, default=1e-3, help="of sensitivities, Pyomo.DoE")
-    parser.add_argument("--step", type=float, default=1e-2, help="relative, of its differences")
-    parser.add_argument("--margin", type=float, default=0.5, help="degrees of pitch, Pyomo.DoE")
-    parser.add_argument("--ipopt", nargs="*", default=["max_iter=500"], help="name=value")
-    options = parser.parse_args()
+def main(
+    cases: Sequence[str] = ("small", "medium"),
+    *,
+    python: str = sys.executable,
+    criteria: Sequence[str] = tuple(CRITERIA),
+    begin: str = "square",
+    starts: int = 3,
+) -> None:
+    """Print the table.
+
+    Parameters
+    ----------
+    cases : sequence of str
+        small, medium, long, narrow, whole
+    python : str
+        interpreter that has Pyomo
+    criteria : sequence of str
+        D, A, E
+    begin : str
+        square or ours
+    starts : int
+        starts that we refine
+    """
     print(machine())
     with ipopt_program():
         designed(replace(CASES["small"], free=()))  # the kernel is compiled once
-        for name in options.cases:
-            for asked in options.criteria:
-                compare(name, CASES[name], asked, options)
+        for name in cases:
+            for asked in criteria:
+                case, asked = CASES[known(name, CASES, "case")], known(asked, CRITERIA, "criterion")
+                compare(name, case, asked, python, starts=starts, begin_ours=begin == "ours")
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -2,24 +2,19 @@
 
     python -m benchmarks.door --logs 120 --seed 20261127
 
-Ships, surface and underwater vehicles are simulated by SciPy with equations of motion of this file
-(nothing of the package takes part), and logged as somebody else's logger would: names in English,
-German, French, Spanish and Italian or none at all (``ch7``), angles in degrees or radians, rates
-also in degrees per minute, speeds in knots, km/h or mm/s, positions in metres, feet or kilometres,
-headings within 0 to 360 or -180 to 180 degrees or continuous, east-north-up or north-east-down
-axes, single axes reversed, decimal commas, clocks in seconds, milliseconds, times of day, ISO and
-German dates or counted since 1970, columns shuffled among others that say nothing, and noise. Some
-headers say units, most do not.
-
-Each log is read as by ``oed-sysid import``; every fact that the reader states (unit of time; unit,
-sign and wrap of each signal) is compared with the truth. What it asks to be confirmed counts as
-asked, whether the guess is right or not.
+Ships and underwater vehicles are simulated by SciPy with equations of motion of this file (nothing
+of the package takes part), and logged as somebody else's logger would: names of five languages or
+none at all (``door.toml``), other units, wraps, axes and signs, decimal commas, clocks of eight
+kinds, columns shuffled among others that say nothing, and noise. Some headers say units, most do
+not. Each log is read as by ``oed-sysid import``; every fact that the reader states is compared with
+the truth. What it asks to be confirmed counts as asked, whether the guess is right or not.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -111,54 +106,9 @@ def diver(rng: np.random.Generator) -> tuple[np.ndarray, dict[str, np.ndarray]]:
 
 # -- loggers -----------------------------------------------------------------------------
 
-SI = {"psi": "rad", "phi": "rad", "theta": "rad", "rudder": "rad", "r": "rad/s", "p": "rad/s",
-      "q": "rad/s", "u": "m/s", "v": "m/s", "w": "m/s", "x": "m", "y": "m", "z": "m",
-      "rpm": "1/s"}  # fmt: skip
-UNITS = {
-    "rad": (("deg", 0.75), ("rad", 0.25)),
-    "rad/s": (("deg/s", 0.6), ("rad/s", 0.25), ("deg/min", 0.15)),
-    "m/s": (("m/s", 0.5), ("kn", 0.3), ("km/h", 0.12), ("mm/s", 0.08)),
-    "m": (("m", 0.85), ("ft", 0.08), ("km", 0.07)),
-    "1/s": (("rpm", 0.8), ("1/s", 0.2)),
-}
-NAMES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
-    "en": {"psi": ("heading", "yaw angle", "HDG"), "r": ("yaw rate", "ROT", "turn rate"),
-           "phi": ("roll", "heel angle"), "p": ("roll rate",), "theta": ("pitch", "pitch angle"),
-           "q": ("pitch rate",), "u": ("speed", "SOG", "surge velocity"),
-           "v": ("sway velocity", "lateral speed"), "w": ("heave velocity", "vertical speed"),
-           "x": ("north", "northing"), "y": ("east", "easting"), "z": ("depth",),
-           "rudder": ("rudder", "helm", "rudder angle"), "rpm": ("RPM", "shaft speed rpm"),
-           "t": ("time", "clock", "UTC time")},
-    "de": {"psi": ("Kurs", "Gierwinkel", "Kompasskurs"), "r": ("Gierrate", "Drehrate",
-           "Wendegeschwindigkeit"), "phi": ("Rollwinkel", "Krängung"), "p": ("Rollrate",),
-           "theta": ("Nickwinkel", "Trimmlage"), "q": ("Nickrate",),
-           "u": ("Fahrt", "Geschwindigkeit voraus", "Längsgeschwindigkeit"),
-           "v": ("Quergeschwindigkeit",), "w": ("Vertikalgeschwindigkeit", "Tauchgeschwindigkeit"),
-           "x": ("Nord", "Hochwert Nord"), "y": ("Ost", "Rechtswert Ost"), "z": ("Tiefe",
-           "Tauchtiefe"), "rudder": ("Ruderlage", "Ruderwinkel", "Ruder"),
-           "rpm": ("Drehzahl", "Wellendrehzahl"), "t": ("Zeit", "Uhrzeit", "Zeitstempel")},
-    "fr": {"psi": ("cap", "angle de lacet"), "r": ("vitesse de lacet", "taux de giration"),
-           "phi": ("roulis", "gîte"), "p": ("vitesse de roulis",), "theta": ("tangage",
-           "assiette"), "q": ("vitesse de tangage",), "u": ("vitesse", "vitesse d'avance"),
-           "v": ("vitesse latérale", "vitesse transversale"), "w": ("vitesse verticale",),
-           "x": ("nord",), "y": ("est",), "z": ("profondeur", "immersion"),
-           "rudder": ("angle de barre", "safran"), "rpm": ("régime hélice", "tours"),
-           "t": ("temps", "heure")},
-    "es": {"psi": ("rumbo", "ángulo de guiñada"), "r": ("velocidad de guiñada", "tasa de giro"),
-           "phi": ("balanceo", "escora"), "p": ("velocidad de balanceo",), "theta": ("cabeceo",),
-           "q": ("velocidad de cabeceo",), "u": ("velocidad", "velocidad de avance"),
-           "v": ("velocidad lateral",), "w": ("velocidad vertical",), "x": ("norte",),
-           "y": ("este",), "z": ("profundidad",), "rudder": ("timón", "ángulo de timón"),
-           "rpm": ("revoluciones",), "t": ("tiempo", "hora")},
-    "it": {"psi": ("prua", "rotta", "angolo di imbardata"), "r": ("velocità di imbardata",
-           "rateo di virata"), "phi": ("rollio", "sbandamento"), "p": ("velocità di rollio",),
-           "theta": ("beccheggio",), "q": ("velocità di beccheggio",), "u": ("velocità",
-           "avanzamento"), "v": ("velocità laterale", "scarroccio"), "w": ("velocità verticale",),
-           "x": ("nord",), "y": ("est",), "z": ("profondità",), "rudder": ("timone",),
-           "rpm": ("giri elica",), "t": ("tempo", "ora")},
-}  # fmt: skip
+DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+SI, UNITS, SPREAD, NAMES = (DATA[part] for part in ("si", "units", "spread", "names"))
 YAW = ("yaw", "Gier", "lacet", "guiñada", "imbardata")
-SPREAD = {"rad": 0.004, "rad/s": 0.002, "m/s": 0.02, "m": 0.5, "1/s": 0.02}
 CLOCKS = ("s", "ms", "clock", "iso", "german", "epoch", "epoch ms", "min")
 
 
@@ -187,7 +137,7 @@ def stamps(t: np.ndarray, how: str, rng: np.random.Generator) -> list[str]:
     return [m.strftime(form[how])[:-3] for m in moments]
 
 
-def _pick(rng: np.random.Generator, pairs: tuple[tuple[str, float], ...]) -> str:
+def _pick(rng: np.random.Generator, pairs: Sequence[tuple[str, float]]) -> str:
     return str(rng.choice([n for n, _ in pairs], p=[p for _, p in pairs]))
 
 
@@ -225,9 +175,9 @@ def foreign(folder: Path, rng: np.random.Generator, number: int) -> Foreign:
         if name == "psi" and wrap != "continuous":
             turn = 2 * np.pi / factor
             logged = logged % turn if wrap == "0..360" else (logged + turn / 2) % turn - turn / 2
-        names = NAMES[language][name] if language != "none" else ()
+        names = NAMES[language][name] if language != "none" else []
         if name == "psi" and enu:  # who counts from east does not call it a compass
-            names = tuple(one for one in names if any(w in one for w in YAW))
+            names = [one for one in names if any(w in one for w in YAW)]
         called = f"ch{rng.integers(100, 999)}" if language == "none" else str(
             rng.choice(names))  # fmt: skip
         header = f"{called} [{unit}]" if says else called

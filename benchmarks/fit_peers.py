@@ -2,14 +2,12 @@
 
     OMP_NUM_THREADS=1 python -m benchmarks.fit_peers [names] [--python PATH ...]
 
-One record of 2,400 samples of five outputs, eight derivatives too small by 30 and by 3 %, and five
-unknown initial states; the task and how each peer is used stand in
-:mod:`benchmarks.peers.fits`. Every peer runs in a process of its own, with the first interpreter of
-``--python`` that has it (``pip install do-mpc numba optimistix jax pypesto[amici,petab,fides]
-antimony swig pyomo pandas pints`` and ``pip install pybop numba`` in two environments). Times are
-processor times of the solution alone; building a solver is listed beside it. *Off* is the largest
-distance from our estimates in our standard errors: the optimum is the same, so more than about one
-means that it was not found, and the time of such a peer says nothing.
+The task and how each peer is used stand in :mod:`benchmarks.peers.fits`. Every peer runs in a
+process of its own, with the first interpreter of ``--python`` that has it (``pip install do-mpc
+numba optimistix jax pypesto[amici,petab,fides] antimony swig pyomo pandas pints`` and ``pip install
+pybop numba`` in two environments). Times are processor times of the solution alone. *Off* is the
+largest distance from our estimates in our standard errors: the optimum is the same, so more than
+about one means that it was not found, and the time of such a peer says nothing.
 """
 
 from __future__ import annotations

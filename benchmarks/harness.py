@@ -312,15 +312,27 @@ def known(name: str, names: Iterable[str], kind: str) -> str:
     return name
 
 
+# Options that mean the same in all benchmarks.
+OPTIONS = {
+    "jobs": "processes",
+    "limit": "processor seconds for one improvement",
+    "measure": "run nothing: measure what is there",
+    "minutes": "time after which the rest is left for the next run",
+    "show": "run nothing: print what is finished",
+    "store": "where finished cases are kept, one line of JSON each",
+    "table": "write the measures there as Markdown",
+}
+
+
 def command(main: Callable[..., Any], arguments: Sequence[str] | None = None) -> Any:
     """Call a function as the command line says: its signature is the list of options.
 
     Positional parameters are arguments, the others options; ``bool`` is a flag, a sequence takes
-    several values. Help is what the docstring's *Parameters* say.
+    several values. Help is what the docstring's *Parameters* say, or :data:`OPTIONS`.
     """
     module = sys.modules[main.__module__]
     text = inspect.getdoc(main) or ""
-    said = dict(_said(text.partition("Parameters\n----------\n")[2]))
+    said = OPTIONS | dict(_said(text.partition("Parameters\n----------\n")[2]))
     known = inspect.signature(main, eval_str=True).parameters.values()
     parser = argparse.ArgumentParser(
         description=(module.__doc__ or text).partition("\n")[0],

@@ -2,12 +2,11 @@
 
     python -m benchmarks.killed --kills 20
 
-A command runs in a process of its own and is killed (``SIGKILL``): every second time blindly
-within its first three seconds, otherwise as soon as it has finished a step that was not there
-before. It is called again until it ends. Judged are: every finished step is left as it was
-written, the result equals that of an undisturbed run to the last bit, and no rest stays behind.
-What keeps its state in a folder (``campaign``, ``benchmark``, a saved fit) is killed at moments
-drawn from its whole duration, each time from the same state, and called again.
+A command is killed (``SIGKILL``), every second time blindly within its first three seconds,
+otherwise as soon as it has finished a step that was not there before, and called again until it
+ends. Every finished step has to be left as it was written, the result to equal that of an
+undisturbed run to the last bit, and no rest to stay behind. What keeps its state in a folder is
+killed at moments drawn from its whole duration, each time from the same state.
 """
 
 from __future__ import annotations

@@ -15,29 +15,30 @@ import numpy as np
 
 from benchmarks.harness import Row, command, markdown
 from benchmarks.missing_physics.cases import DATA, UNKNOWN_TERMS, draws, simulate_draws
-from benchmarks.missing_physics.judge import datasets
+from benchmarks.missing_physics.judge import datasets, nominal
 from benchmarks.missing_physics.simulator import Case, Records
-from oed_sysid import Problem, load_problem
 from oed_sysid.evidence.locate import locate
 from oed_sysid.evidence.study import Study
 
 # Without the unknown moment w^3 of positive sign, which throws the vehicle over.
 PLAN = "single/white:40 none/white:10 unknown/white:5 unknown/white:6-15 unknown/white:16-20"
 
-SURGE = ("force X", "actuator T")
 
-
-def outcome(problem: Problem, case: Case, records: Sequence[Records]) -> Row:
-    """Which place is accused in one case, which are right, and how long it took, s."""
-    train, test = datasets(problem, records)
-    name = next(iter(case.effects), "")
-    if name in UNKNOWN_TERMS:
+def right_places(case: Case) -> tuple[str, ...]:
+    """Places that may be accused of what is hidden."""
+    for name in case.effects:
+        if name not in UNKNOWN_TERMS:
+            return tuple(DATA["effects"][name]["places"])
         axis = DATA["unknown"][name]["axis"]
-        right = SURGE if axis == "X" else (f"force {axis}",)
-    else:
-        right = tuple(DATA["effects"][name]["places"]) if name else ()
-    study, fit = Study.begin(problem.model, train, test, (), known_noise=False)
-    began = time.perf_counter()
+        return ("force X", "actuator T") if axis == "X" else (f"force {axis}",)
+    return ()
+
+
+def outcome(case: Case, records: Sequence[Records]) -> Row:
+    """Which place is accused in one case, which are right, and how long it took, s."""
+    train, test = datasets(nominal(), records)
+    study, fit = Study.begin(nominal().model, train, test, (), known_noise=False)
+    began, right = time.perf_counter(), right_places(case)
     found = locate(fit, study.unit)
     seconds = time.perf_counter() - began
     near = {place.name for place in found.places[:2]} | set(found.group)
@@ -70,9 +71,9 @@ def main(plan: str = PLAN) -> None:
     plan : str
         kinds of cases and how many, as "single/white:40 none/white:10"
     """
-    wanted, problem, outcomes = draws(plan), load_problem("remus_diving_plane"), []
+    wanted, outcomes = draws(plan), list[Row]()
     for draw, (case, records) in zip(wanted, simulate_draws(wanted), strict=True):
-        outcomes.append(outcome(problem, case, records))
+        outcomes.append(outcome(case, records))
         accused = ", ".join(outcomes[-1]["group"]) or "noise"
         print(f"{draw.key} {', '.join(case.effects) or 'nothing'}: {accused}", flush=True)
     print("\n".join(markdown(("measure", "value"), rows(outcomes))))

@@ -12,20 +12,28 @@ tutorial are drawn anew (`docs/walk_*.png`). The browser is that of the system.
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
+import socket
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.harness import ROOT, command, machine
-from benchmarks.page_clicks import browsed
 from oed_sysid import new_problem
 from oed_sysid.experiments.problem import load_problem
 
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+PATIENCE = 300_000.0  # ms
+VIEW = {"width": 1280, "height": 900}
 # The vehicle's runs under the names that a German crew gives their files, and the columns.
 FILES = {
     "zigzag_10_10": "Zickzack_10", "zigzag_20_20": "Zickzack_20", "turning_circle": "Drehkreis",
@@ -35,6 +43,47 @@ COLUMNS = {"rudder": "Ruderlage [°]", "psi": "Kurs [°]", "r": "Drehrate [°/mi
 LOOKS = [(scheme, width) for scheme in ("light", "dark") for width in (1280, 1920)]
 # Pictures of the tutorial: the step, its file and its height, pixels.
 DOCS = {"data": 1500, "check": 900, "fit": 1000, "missing": 1060, "export": 620}
+
+
+@contextmanager
+def served() -> Iterator[str]:
+    """Address of an application with an empty cache, ended afterwards."""
+    with socket.socket() as free:
+        free.bind(("localhost", 0))
+        port = free.getsockname()[1]
+    with tempfile.TemporaryDirectory() as cache:
+        run = subprocess.Popen(
+            [sys.executable, "-m", "oed_sysid.cli", "app", "--no-browser", "--port", str(port)],
+            env=os.environ | {"OED_SYSID_CACHE": cache},
+            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+        )  # fmt: skip
+        try:
+            assert run.stdout is not None
+            found = next(filter(None, (re.search(r"http://\S+", line) for line in run.stdout)))
+            while True:
+                try:
+                    socket.create_connection(("localhost", port), timeout=0.5).close()
+                    break
+                except OSError:
+                    time.sleep(0.1)
+            yield found.group(0)
+        finally:
+            run.terminate()
+            run.wait(20)
+
+
+@contextmanager
+def browsed() -> Iterator[tuple[Any, str]]:
+    """An empty page of the system's browser, and the address of an application for it."""
+    from playwright.sync_api import sync_playwright
+
+    browser_file = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    with served() as address, sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=browser_file, args=["--no-sandbox"])
+        page = browser.new_page(viewport=VIEW)
+        page.set_default_timeout(PATIENCE)
+        yield page, address
+        browser.close()
 
 
 def foreign_logs(folder: Path) -> list[Path]:
@@ -210,7 +259,7 @@ def main(*, pictures: Path | None = None, docs: bool = False) -> None:
         Whether the pictures of the tutorial are drawn anew.
     """
     print(machine())
-    with browsed(None, 900) as (page, address), tempfile.TemporaryDirectory() as place:
+    with browsed() as (page, address), tempfile.TemporaryDirectory() as place:
         logs, began = foreign_logs(Path(place)), time.perf_counter()
         page.goto(address)
         for step, said, clicks in walk(page, logs, Path(place) / "mein_schiff", Path(place) / "x"):
@@ -224,7 +273,7 @@ def main(*, pictures: Path | None = None, docs: bool = False) -> None:
             if docs and step in DOCS:
                 photograph(page, "light", 1280, ROOT / "docs" / f"walk_{step}.png", DOCS[step])
             page.emulate_media(color_scheme="light")
-            page.set_viewport_size({"width": 1280, "height": 900})
+            page.set_viewport_size(VIEW)
             began = time.perf_counter()
 
 

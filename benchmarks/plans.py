@@ -1,20 +1,14 @@
-r"""What is promised of plans, beside what was measured: one table in docs/programme.md.
+"""What is promised of plans, beside what was measured: one table in docs/programme.md.
 
     OMP_NUM_THREADS=1 python -m benchmarks.plans [sets bias flown priors ...] [--write]
 
-*sets*: of vehicles with at most 17 free parameters, the set that can be estimated together against
-all :math:`2^n` sets, tried by code of this file, and the errors of its parameters, the others
-fixed, against central differences of simulated outputs. *bias*: what fixing a parameter at a wrong
-value does to the estimate that suffers most, against fits of noise-free records. *flown*: a
-designed run that reacts is written as a ROS 2 node; the law in that file flies vehicles drawn from
-what is known, integrated by the NumPy equations of `benchmarks.missing_physics`, in forces of their
-own; the share that keeps the limits is put beside what was stated. *priors*: the same where priors
-believe in 8 % and 25 % is true. *gaps*: how far the weights of a programme may be from the best.
-*starts*: start values by Fourier regression of records in swell (`benchmarks.random_forces`).
-*watch*: processor time of a sample.
-
-The other lines are those of `benchmarks.realised` and `benchmarks.stopping`, as kept. ``--write``
-writes the table; without it the table is printed.
+*sets*: the set that can be estimated together against all :math:`2^n` sets, tried by code of this
+file, and errors, the others fixed, against central differences. *bias*: what fixing a parameter at
+a wrong value does to the estimate that suffers most, against fits. *flown*: the law of a written
+ROS 2 node flies vehicles drawn from what is known, integrated by `benchmarks.missing_physics`, in
+forces of their own. *priors*: the same where priors believe in 8 % and 25 % is true. *starts*:
+Fourier regression of records in swell. *watch*: processor time of a sample. The other lines are
+those of `benchmarks.realised` and `benchmarks.stopping`, as kept.
 """
 
 from __future__ import annotations
@@ -22,7 +16,7 @@ from __future__ import annotations
 import runpy
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -53,15 +47,12 @@ from oed_sysid import Dataset, Experiment, Model, MultipleShooting, NoiseModel, 
 from oed_sysid.baselines.fourier import FourierRegression, FourierStream
 from oed_sysid.design import (
     Assurance,
-    Budget,
     Caution,
     Knowledge,
-    ProgrammeSearch,
     Search,
     ZigZags,
     assess_limits,
     design_experiment,
-    design_programme,
     played,
     write_controller,
 )
@@ -91,8 +82,6 @@ FLIGHTS, SETS_IN_SWELL = 200, 12
 WRONG = 0.1
 # Records in swell: vehicles whose sensors see every state of their equations.
 STARTS = ("ship_swell", "ship_designed", "remus_swell")
-# Shipped problems with experiments and limits or inputs that a programme can be made of.
-PROGRAMMES = ("remus_diving_plane", "online_ship", "torpedo", "catamaran")
 WATCHED = ("remus_diving_plane", "online_ship", "torpedo", "catamaran", "remus_6dof")
 
 
@@ -316,19 +305,7 @@ def start_of(key: str, scenario_name: str, number: int) -> Row:
     return {"key": key, "error": float(np.sqrt(np.mean(np.square(shares))))}
 
 
-# -- gaps and watching -----------------------------------------------------------------
-
-
-def gap_of(key: str, name: str) -> Row:
-    """The gap of a programme's weights, in units of its criterion."""
-    problem = load_problem(name)
-    patterns = list(problem.experiments.values())[:1]
-    found = design_programme(
-        problem.model, patterns, limits=problem.limits, rng=np.random.default_rng(1),
-        budget=Budget(hours=2.0, n_runs=4),
-        search=ProgrammeSearch(n_draws=2, n_vehicles=4, n_rounds=0),
-    )  # fmt: skip
-    return {"key": key, "gap": found.gap, "candidates": len(found.candidates)}
+# -- watching -----------------------------------------------------------------
 
 
 def watched(key: str, name: str) -> Row:
@@ -365,15 +342,14 @@ def cases() -> dict[str, dict[str, Callable[[], Row]]]:
     bias = {f"bias{key.removeprefix('set')}": partial(bias_of, **one.keywords)
             for key, one in sets.items() if one.keywords["run"]}  # fmt: skip
     priors = {f"priors seed {seed}": partial(doubted, seed=seed) for seed in (1, 2)}
-    gaps = {f"gap {name}": partial(gap_of, name=name) for name in PROGRAMMES}
     starts = {
         f"start {name} {i}": partial(start_of, scenario_name=name, number=i)
         for name in STARTS for i in range(SETS_IN_SWELL)
     }  # fmt: skip
     watch = {f"watch {name}": partial(watched, name=name) for name in WATCHED}
     sections = {
-        "sets": sets, "bias": bias, "flown": closed, "priors": priors, "gaps": gaps,
-        "starts": starts, "watch": watch,
+        "sets": sets, "bias": bias, "flown": closed, "priors": priors, "starts": starts,
+        "watch": watch,
     }  # fmt: skip
     return {
         section: {key: partial(work, key) for key, work in own.items()}
@@ -381,120 +357,92 @@ def cases() -> dict[str, dict[str, Callable[[], Row]]]:
     }
 
 
-def spread_of(values: Sequence[float]) -> str:
-    """Median and range in per cent."""
-    return f"{np.median(values):.1%} ({min(values):.1%} to {max(values):.1%})"
+def promised(stated: int, least: float, flown: int) -> str:
+    """Shares of vehicles that keep the limits."""
+    return f"stated {stated / FLIGHTS:.1%} (at least {least:.1%}), flown {flown / FLIGHTS:.1%}"
 
 
 def lines() -> list[tuple[str, str, str, str]]:
     """Lines of the table that have been measured: what, how, how many, result."""
-    rows, found = STORE.rows(), []
-    sets = [row for row in rows if row["key"].startswith("set ")]
-    if sets:
-        best = sum(row["optimal"] for row in sets)
+    return [*_planned(), *_realised(), *_stopped()]
+
+
+def _planned() -> Iterator[tuple[str, str, str, str]]:
+    """Lines of this benchmark."""
+    sections = grouped(STORE.rows(), lambda row: row["key"].split()[0])
+    if sets := sections.get("set", []):
         how, n = "`plans sets`", f"{len(sets)} vehicles and runs"
-        found += [
-            ("largest set against all sets", how, n, f"best in {best} of {len(sets)}"),
-            ("errors, the others fixed, against differences", how, n,
-             f"largest deviation {max(row['error'] for row in sets):.1g}"),
-        ]  # fmt: skip
-    for row in rows:
-        if row["key"].startswith("flown "):
-            off = row["key"].split()[1]
-            for kind, words in (("closed", "file of a run that reacts"), ("table", "its table")):
-                stated, kept = row[f"stated {kind}"], row[f"flown {kind}"]
-                low = at_least(stated, FLIGHTS)
-                found.append((
-                    f"limits kept, {words}, coefficients up to {float(off):.0%} off",
-                    "`plans flown`", f"{FLIGHTS} vehicles each",
-                    f"stated {stated / FLIGHTS:.1%} (at least {low:.1%}), flown "
-                    f"{kept / FLIGHTS:.1%}",
-                ))  # fmt: skip
-    return [*found, *_others(rows), *_realised(), *_stopped()]
-
-
-def _others(rows: Sequence[Row]) -> list[tuple[str, str, str, str]]:
-    """Lines of the sections that are one line each."""
-    found = []
-
-    def of(section: str) -> list[Row]:
-        return [row for row in rows if row["key"].startswith(f"{section} ")]
-
-    if bias := of("bias"):
+        best = sum(row["optimal"] for row in sets)
+        yield "largest set against all sets", how, n, f"best in {best} of {len(sets)}"
+        error = max(row["error"] for row in sets)
+        what = "errors, the others fixed, against differences"
+        yield what, how, n, f"largest deviation {error:.1g}"
+    for row in sections.get("flown", []):
+        off = float(row["key"].split()[1])
+        for kind, words in (("closed", "file of a run that reacts"), ("table", "its table")):
+            stated = row[f"stated {kind}"]
+            told = promised(stated, at_least(stated, FLIGHTS), row[f"flown {kind}"])
+            what = f"limits kept, {words}, coefficients up to {off:.0%} off"
+            yield what, "`plans flown`", f"{FLIGHTS} vehicles each", told
+    if bias := sections.get("bias", []):
         ratio = np.concatenate([np.divide(row["stated"], row["fitted"]) for row in bias])
         near = int(np.sum(np.abs(ratio - 1.0) <= 0.2))
-        found.append((
-            f"largest bias if one parameter is fixed {WRONG:.0%} off, stated over fitted",
-            "`plans bias`", f"{len(ratio)} parameters of {len(bias)} runs",
-            f"{near} within 20 %; {min(ratio):.2f} to {max(ratio):.2f}",
-        ))  # fmt: skip
-    for row in of("priors"):
-        low = row["least"]
-        found.append((
-            "limits kept, believed 8 % off, 25 % off in truth", "`plans priors`",
-            f"{FLIGHTS} vehicles each, {row['key'].removeprefix('priors ')}",
-            f"stated {row['stated'] / FLIGHTS:.1%} (at least {low:.1%}), flown "
-            f"{row['kept'] / FLIGHTS:.1%}",
-        ))  # fmt: skip
-    if gaps := of("gap"):
-        found.append((
-            "gap of a programme's weights to their bound", "`plans gaps`",
-            f"{len(gaps)} vehicles", f"at most {max(row['gap'] for row in gaps):.1g}",
-        ))  # fmt: skip
-    kinds = grouped(of("start"), lambda row: SCENARIOS[row["key"].split()[1]].title)
+        what = f"largest bias if one parameter is fixed {WRONG:.0%} off, stated over fitted"
+        n = f"{len(ratio)} parameters of {len(bias)} runs"
+        told = f"{near} within 20 %; {min(ratio):.2f} to {max(ratio):.2f}"
+        yield what, "`plans bias`", n, told
+    for row in sections.get("priors", []):
+        what = "limits kept, believed 8 % off, 25 % off in truth"
+        n = f"{FLIGHTS} vehicles each, {row['key'].removeprefix('priors ')}"
+        told = promised(row["stated"], row["least"], row["kept"])
+        yield what, "`plans priors`", n, told
+    kinds = grouped(sections.get("start", []), lambda row: SCENARIOS[row["key"].split()[1]].title)
     for title, group in kinds.items():
-        found.append((
-            f"start values, {title}", "`plans starts`", f"{len(group)} data sets",
-            spread_of([row["error"] for row in group]),
-        ))  # fmt: skip
-    if watch := of("watch"):
-        found.append((
-            "processor time of a sample, alone and with advice every 5 % of a run",
-            "`plans watch`", f"{len(watch)} vehicles",
-            f"at most {max(row['push'] for row in watch):.1f} and "
-            f"{max(row['all'] for row in watch):.1f} ms",
-        ))  # fmt: skip
-    return found
+        errors = [row["error"] for row in group]
+        told = f"{np.median(errors):.1%} ({min(errors):.1%} to {max(errors):.1%})"
+        yield f"start values, {title}", "`plans starts`", f"{len(group)} data sets", told
+    if watch := sections.get("watch", []):
+        what = "processor time of a sample, alone and with advice every 5 % of a run"
+        alone, all_ = (max(row[kind] for row in watch) for kind in ("push", "all"))
+        told = f"at most {alone:.1f} and {all_:.1f} ms"
+        yield what, "`plans watch`", f"{len(watch)} vehicles", told
 
 
-def _realised() -> list[tuple[str, str, str, str]]:
+def _realised() -> Iterator[tuple[str, str, str, str]]:
     """Lines of `benchmarks.realised`."""
-    found = []
     kinds = grouped(realised.STORE.rows(), lambda row: (row["plan"], row["forces"], row["swell"]))
     for (plan, forces, swell), group in kinds.items():
         ratio = realised.ratios(group)
         near = np.sum((ratio >= realised.TRUE[0]) & (ratio <= realised.TRUE[1]))
         mean, error = np.exp(np.mean(np.log(ratio))), 1.0 / np.sqrt(2.0 * len(group))
         held = np.mean([row["inside"] for row in group])
-        sea = f"swell of {swell:g} s" if swell else "first-order forces"
-        found.append((
-            f"realised over stated errors, {plan} run, {sea} x {forces:g}",
-            f"`realised --swell {swell:g}`", f"{len(group)} repetitions",
+        what = f"realised over stated errors, {plan} run, {sea_of(swell)} x {forces:g}"
+        told = (
             f"{near} of {len(ratio)} from 0.8 to 1.25, each ±{error:.2f}; mean {mean:.2f}; 95 % "
-            f"intervals hold {held:.0%}",
-        ))  # fmt: skip
-    return found
+            f"intervals hold {held:.0%}"
+        )
+        yield what, f"`realised --swell {swell:g}`", f"{len(group)} repetitions", told
 
 
-def _stopped() -> list[tuple[str, str, str, str]]:
+def sea_of(swell: float) -> str:
+    """A swell of this period, s, or the forces that there are without."""
+    return f"swell of {swell:g} s" if swell else "first-order forces"
+
+
+def _stopped() -> Iterator[tuple[str, str, str, str]]:
     """Lines of `benchmarks.stopping` with nothing hidden."""
     kinds = grouped(
         (row for row in stopping.STORE.rows() if row["hidden"] == stopping.NOTHING
          and row["rule"] == "checked" and row["arm"] == "planned"),
         lambda row: row.get("swell", 0.0),
     )  # fmt: skip
-    found = []
     for swell, group in kinds.items():
         n, doubted = len(group), sum(row["doubted"] for row in group)
-        sea = f"swell of {swell:g} s" if swell else "first-order forces"
         inside = np.mean([abs(v) < 1.96 for row in group for v in row["apart"].values()])
-        found.append((
-            f"right model called contradicted, {sea}",
-            f"`stopping --hidden nothing --rules checked --arms planned --swell {swell:g}`",
-            f"{n} trials",
-            f"{doubted} (at most {1 - at_least(n - doubted, n):.0%}); intervals hold {inside:.0%}",
-        ))  # fmt: skip
-    return found
+        how = f"`stopping --hidden nothing --rules checked --arms planned --swell {swell:g}`"
+        most = 1 - at_least(n - doubted, n)
+        told = f"{doubted} (at most {most:.0%}); intervals hold {inside:.0%}"
+        yield f"right model called contradicted, {sea_of(swell)}", how, f"{n} trials", told
 
 
 def main(
@@ -505,13 +453,9 @@ def main(
     Parameters
     ----------
     sections : sequence of str
-        sets, flown, starts; all without a name
-    jobs : int
-        processes
+        sets, bias, flown, priors, starts, watch; all without a name
     write : bool
         write the table into docs/programme.md
-    show : bool
-        measure nothing
     """
     every = cases()
     for section in () if show else sections or every:

@@ -3,16 +3,13 @@ r"""Realised over stated errors of planned runs under disturbance forces.
     OMP_NUM_THREADS=1 python -m benchmarks.realised [--repetitions 20] [--forces 1.0]
                                                     [--plans designed] [--swell 8]
 
-The REMUS-like vehicle plays *plan* again and again under disturbance forces of 0.1 N, 0.3 N,
-0.06 N m and 2 s (times ``--forces``) and white sensors, or in a swell of these levels with
-``--swell``, the peak period of its JONSWAP spectrum. Each repetition is integrated by the NumPy
-equations of `benchmarks.missing_physics` (no code of the package) and estimated by
-``MultipleShooting(disturbances="auto")``, or with a ``Sea()`` of which nothing else is declared
-where the plan was made for a swell; levels, times and period unknown, no priors. Stated are
-the errors of ``information_of`` before the trial, for these forces and for white noise alone.
-
-With ``n`` repetitions a ratio has a standard error of about :math:`1/\sqrt{2n}`. Every repetition
-is kept in benchmarks/results/realised.jsonl and not repeated.
+The REMUS-like vehicle plays *plan* again and again under forces of medium size (times ``--forces``)
+and 2 s, or in a swell of these levels with ``--swell``, the peak period of its JONSWAP spectrum.
+Each repetition is integrated by `benchmarks.missing_physics` (no code of the package) and estimated
+by ``MultipleShooting(disturbances="auto")``, or with a ``Sea()`` of which nothing else is declared
+where the plan was made for a swell; no priors. Stated are the errors of ``information_of`` before
+the trial, for these forces and for white noise alone. With ``n`` repetitions a ratio has a standard
+error of about :math:`1/\sqrt{2n}`.
 """
 
 from __future__ import annotations
@@ -213,10 +210,6 @@ def main(
         peak period of a swell, s; 0 for first-order forces
     seed : int
         of forces and noise
-    jobs : int
-        processes
-    show : bool
-        print finished repetitions only
     """
     wanted: dict[str, partial[Row]] = {}
     for factor in () if show else forces:

@@ -2,16 +2,13 @@
 
     OMP_NUM_THREADS=1 python -m benchmarks.separating
 
-A first, gentle dive (zigzag 5/5 of 90 s) of the REMUS-like vehicle shows that something is missing,
-but not what: two of forty candidate effects explain it alike. One dive is then designed to tell
-them apart (fin and thrust, 90 s, limits of the problem), simulated with either of the two as the
-truth, and all forty candidates are ranked on both dives together. Truth and records come from
-`benchmarks.missing_physics.simulator`, which shares no code with the package; true derivatives
-are 9 % about the believed ones.
-
-Pairs are chosen before anything is simulated, from the information of the first dive alone: those
-whose signatures are most alike, both of which show there at a size at which the other fits as well
-(expected 2 dlogL of 3 or less, at most 1.5 times typical). Each effect is in three pairs at most.
+A first, gentle dive of the REMUS-like vehicle shows that something is missing, but not what: two of
+forty candidate effects explain it alike. One dive is designed to tell them apart, simulated with
+either of the two as the truth (`benchmarks.missing_physics.simulator`), and all forty candidates
+are ranked on both dives together. Pairs are chosen before anything is simulated, from the
+information of the first dive alone: those whose signatures are most alike, both of which show there
+at a size at which the other fits as well (expected 2 dlogL of 3 or less, at most 1.5 times
+typical). Each effect is in three pairs at most.
 """
 
 from __future__ import annotations
@@ -200,13 +197,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def main(*, show: bool = False) -> None:
-    """Run what is missing, print the table.
-
-    Parameters
-    ----------
-    show : bool
-        print finished cases only
-    """
+    """Run what is missing, print the table."""
     problem = load_problem("remus_diving_plane")
     wanted = {
         (truth, rival): partial(judged, problem, truth, rival, size)

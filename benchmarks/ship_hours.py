@@ -3,36 +3,19 @@ r"""Ship hours of planned programmes for the errors that standard trials leave, 
     OMP_NUM_THREADS=1 python -m benchmarks.ship_hours --vehicles 100     (--show: what is finished)
 
 A programme is planned once on the believed vehicle, of which nothing is known but that every
-coefficient is within 30 per cent (uniform). It is then judged on vehicles drawn from that:
-
-auv
-    The REMUS-like vehicle in the diving plane, runs of 60 s from 25 m, pitch within 45 degrees,
-    depth 2 to 60 m, disturbance forces of 0.1 N, 0.3 N and 0.06 N m over 2 s. Standard trials:
-    zigzags 10/10 and 20/20 at 1.5 m/s (there is no circle in this plane).
-auv long
-    The same; runs may also last 300 s.
-tanker
-    Linear sway and yaw, runs of 600 s, a moderate sea. Standard trials: zigzags 10/10 and 20/20 and
-    a circle of 35 degrees.
-
-With information :math:`F_p` of the programme and :math:`F_s` of the standard trials on the drawn
-vehicle, in units of the believed values and without priors, and hours :math:`h_p, h_s`, turnarounds
-of 600 s included, the programme needs
+coefficient is within 30 per cent (uniform), and judged on vehicles drawn from that (`TASKS`,
+docs/programme.md). With information :math:`F_p` of the programme and :math:`F_s` of the standard
+trials on the drawn vehicle, in units of the believed values and without priors, and hours
+:math:`h_p, h_s`, turnarounds included, the programme needs
 
 .. math:: \rho_D = \frac{h_p}{h_s} \left(\frac{\det F_s}{\det F_p}\right)^{1/n}, \qquad
     \rho_A = \frac{h_p}{h_s}\, \frac{\mathrm{tr}\, F_p^{-1}}{\mathrm{tr}\, F_s^{-1}}
 
 of the ship time for the same geometric mean (D), or root mean square (A), of the errors; programmes
-may be repeated in part. Because the standard trials of the AUV leave the limits on many of these
-vehicles, programmes are compared a second time, with *cautious* standard trials: of each zigzag the
-largest, in five steps, that keeps the limits on 95 % of 100 vehicles drawn like those, at the
-fastest speed at which it does; of 300 s for `auv long`. A programme with a run that diverges on a
-vehicle counts as infinitely long there. Errors are those of `information_of` on the drawn vehicle,
-which `benchmarks.realised` compares with those that estimates have.
-
-Limits of the vehicle: every run of a programme is played once in waves drawn for it, and its
-commands and forces are integrated by `benchmarks.missing_physics.simulator` (Runge-Kutta at 0.01 s,
-no code of the package). A vehicle counts as kept if all runs together never left a limit.
+may be repeated in part. A programme with a run that diverges on a vehicle counts as infinitely
+long there. Every run is played once in waves drawn for it, and its commands and forces are
+integrated by `benchmarks.missing_physics.simulator` (no code of the package): a vehicle counts as
+kept if all runs together never left a limit.
 """
 
 from __future__ import annotations
@@ -368,8 +351,6 @@ def main(*, vehicles: int = 100, tasks: Sequence[str] = tuple(TASKS), show: bool
         vehicles drawn
     tasks : sequence of str
         auv, auv long, tanker
-    show : bool
-        print what is finished only
     """
     for name in () if show else tasks:
         judge_all(name, vehicles)

@@ -3,43 +3,8 @@
     OMP_NUM_THREADS=1 python -m benchmarks.speed kernel score
 
 The vehicle is the diving plane of a REMUS-like AUV, five outputs, noise as declared, unless another
-is named. Times are least processor times of warm calls, or on the clock where it is said.
-
-kernel
-    Trajectory and sensitivities of 2,400 samples by twelve parameters and five start states: ours,
-    the same compiled code called in a loop by a C program that owns its buffers (what is above it
-    is the price of Python, of checks and of fresh arrays), and CasADi as its manual teaches.
-information
-    The information of the same record, every way from the same equations, the same steps and the
-    same triangularisation: ours, one-sided differences, CasADi's jacobian; and our sensitivities
-    against complex steps of equations written anew and differences of eighth order.
-fit_speed
-    *Local*: three records of 2,400 samples, start values 30 % off. *Wild starts*: one record of
-    900 samples, forty starts within four times each true value, signs included; success is the
-    optimum that a start at the truth reaches. The last rows leave out sensors.
-growth
-    One record of 1,000 to 100,000 samples, starts 10 % off, all by the same way (``near``), each
-    in a process of its own, so that its peak memory is its own.
-likelihood
-    A pass of the filter (*narrow*: the nominal model, *wide*: with all candidates, *levels*:
-    tangents of all noise levels and times), a fit with process noise, an improvement.
-score
-    The score test of all candidate effects on 2,703 samples; the first fit is not counted.
-swarm
-    100 particles, 300 generations, 1,000 samples, on all cores by threads: the clock counts.
-startup
-    Import, first fit and first compilation in fresh processes.
-long_search
-    `improve` on one dive of half an hour at 50 Hz, 90,000 samples, with a hidden heave drag.
-decision
-    The decision to stop or to go on (`decide`) over the library that `campaign` makes, in a
-    moderate sea: known is one run, the goal is half of the errors that it leaves.
-tables
-    Records of a CSV file of 2,000,000 rows and six columns, units, channels and all checks
-    included, beside the numbers alone by pandas; fresh processes, imports not counted.
-six_degrees
-    Fit and search in six degrees of freedom: 12 states, 25 parameters, 36,030 samples at 20 Hz of
-    the AUV of :mod:`benchmarks.other_vehicles`, simulated by that benchmark's own code.
+is named. Times are least processor times of warm calls, or on the clock where it is said. What
+each part measures is said by its function, and listed by ``python -m benchmarks --list``.
 """
 
 from __future__ import annotations
@@ -66,6 +31,7 @@ from benchmarks.harness import (
     command,
     dive,
     ignorant,
+    known,
     least,
     machine,
     named,
@@ -86,7 +52,7 @@ from oed_sysid import (
 )
 from oed_sysid.compiled import graph as graphs
 from oed_sysid.compiled.kernels import kernel as compiled
-from oed_sysid.evidence.study import Study, fitting_candidates
+from oed_sysid.evidence.study import Study
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.information import CommandedRun, noise_of, respond
 from oed_sysid.information.bound import RunInformation, triangle
@@ -169,7 +135,12 @@ class Task:
 
 
 def kernel() -> Iterator[Measured]:
-    """Ours over the bare loop, CasADi over ours."""
+    """Trajectory and sensitivities of 2,400 samples by twelve parameters and five start states.
+
+    Ours, the same compiled code called in a loop by a C program that owns its buffers (what is
+    above it is the price of Python, of checks and of fresh arrays), and CasADi as its manual
+    teaches.
+    """
     job = Task()
     free = [job.model.values[name] for name in job.model.free_names]
     manual, built = job.by_manual()
@@ -198,7 +169,11 @@ def kernel() -> Iterator[Measured]:
 
 
 def information() -> Iterator[Measured]:
-    """Accuracy of sensitivities and information by several ways, and their times."""
+    """Information of that record: ours, one-sided differences, CasADi's jacobian; their accuracy.
+
+    Every way from the same equations, the same steps and the same triangularisation; our
+    sensitivities against complex steps of equations written anew.
+    """
     job = Task()
     model, values, sigma = job.model, job.model.value_vector, noise_of(job.model)
     seen = np.ones((N_SAMPLES, 5), dtype=bool)
@@ -212,20 +187,15 @@ def information() -> Iterator[Measured]:
         z, _ = job.kernel.start(unknowns[:5], job.inputs[0], trial, 0.0)
         return job.kernel.run(job.times, job.inputs, trial, z).outputs
 
-    def differences(share: float, weights: dict[int, float]) -> np.ndarray:
-        columns, base = [], outputs(point) * weights.get(0, 0.0)
-        for i, size in enumerate(scale):
-            step = share * size * np.eye(len(point))[i]
-            moved = (w * outputs(point + k * step) for k, w in weights.items() if k)
-            columns.append((base + sum(moved)) / (share * size))
-        return np.stack(columns, axis=2)
+    def differences() -> np.ndarray:
+        steps, base = 1e-7 * scale, outputs(point)
+        moved = [outputs(point + step) - base for step in np.diag(steps)]
+        return np.stack(moved, axis=2) / steps
 
     def factor_of(jacobian: np.ndarray) -> np.ndarray:
         rows = (jacobian / sigma[:, None]).reshape(-1, len(point))
         return triangle(rows)[5:, 5:]
 
-    eighth = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
-    central = eighth | {-k: -w for k, w in eighth.items()}
     print(f"{model.name}: {len(job.free)} free parameters")
     exact = respond(model, given).jacobian
     manual, build = job.by_manual()
@@ -239,7 +209,6 @@ def information() -> Iterator[Measured]:
     others = {
         "CasADi's jacobian": theirs,
         "complex steps of NumPy equations": complex_step(job, point),
-        "eighth-order differences": differences(3e-3, central),
     }
     apart = (f"{words} {np.max(np.abs(exact - j) / size):.1e}" for words, j in others.items())
     print(f"largest relative difference of the sensitivities to {', to '.join(apart)}")
@@ -250,7 +219,7 @@ def information() -> Iterator[Measured]:
     told = RunInformation(model)
     ways: dict[str, Callable[[], np.ndarray]] = {
         "ours": lambda: told.factor(given),
-        "one-sided differences": lambda: factor_of(differences(1e-7, {1: 1.0, 0: -1.0})),
+        "one-sided differences": lambda: factor_of(differences()),
         "CasADi jacobian": lambda: factor_of(by_casadi()),
     }
     ours = least(ways["ours"], 25)
@@ -315,7 +284,11 @@ def records(model: Model, outputs: tuple[str, ...]) -> tuple[Model, Dataset]:
 
 
 def fit_speed() -> Iterator[Measured]:
-    """Local fits, and arrival from wild starts."""
+    """Local fits, start values 30 % off, and arrival from wild starts, also without some sensors.
+
+    Three records of 2,400 samples, or one of 900 and forty starts within four times each true
+    value, signs included; success is the optimum that a start at the truth reaches.
+    """
     model, data = records(vehicle(), SENSORS[0])
     for factor in (0.7, 1.3):
         for noise in ("given", "estimate"):
@@ -354,7 +327,7 @@ def grown(n_samples: int) -> None:
 
 
 def growth() -> Iterator[Measured]:
-    """Time and memory of a fit over the length of the record."""
+    """Time and memory of a fit of 1,000 to 100,000 samples, each in a process of its own."""
     rows = {}
     print(f"{'samples':>8} {'fit, s':>8} {'iterations':>10} {'us/sample/iteration':>20} {'MiB':>6}")
     for n in SIZES:
@@ -375,7 +348,7 @@ def growth() -> Iterator[Measured]:
 
 
 def swarm() -> Iterator[Measured]:
-    """The published search, on the clock."""
+    """A swarm of 100 particles, 300 generations, 1,000 samples, on all cores: on the clock."""
     from oed_sysid.baselines import DifferentialSwarm
 
     model = vehicle()
@@ -401,39 +374,13 @@ def swarm() -> Iterator[Measured]:
 # -- process noise and missing physics ------------------------------------------------------
 
 
-def passes(model: Model, train: Dataset, effects: Sequence[Any]) -> None:
-    """Print the time of a pass for one sample."""
-    from oed_sysid.compiled.filtering import filter_kernel
-    from oed_sysid.likelihood.disturbances import chosen_places
-    from oed_sysid.likelihood.filtered import Filtered, disturbed_model
-    from oed_sysid.likelihood.score_test import Setting
-
-    places = chosen_places(model, "all")
-    white = np.array([output.noise_std for output in model.outputs])
-    setting = Setting(model, train, places, white, np.ones(len(white), dtype=bool))
-    joined = fitting_candidates(model, effects)
-    start = [np.nan_to_num(record.outputs[0]) for record in train]
-    noise = replace(setting.noise(1.0), force=np.full(len(places), 0.3))
-    unit = replace(noise, force=np.ones(len(places)))
-    free = setting.levels(train, noise, unit, np.zeros(len(white), dtype=bool))
-    n_samples = sum(record.n_samples for record in train)
-    for name, wide in (("narrow", model), ("wide", model + joined)):
-        own = filter_kernel(disturbed_model(wide, setting.disturbances))
-        for words, levels in (("no levels", free.held()), (f"{len(free)} levels", free)):
-            problem = Filtered(model, train, levels, kernel=own)
-            point = problem.point(start, [{}] * len(start)).unknowns
-            seconds = least(lambda problem=problem, point=point: problem.passes(point), 10)
-            print(f"pass, {name}, {words}: {1e6 * seconds / n_samples:.2f} us a sample")
-
-
 def likelihood() -> Iterator[Measured]:
-    """Times of passes, a fit and an improvement."""
+    """A fit with process noise, the same from where an earlier one ended, an improvement."""
     from benchmarks.random_forces.scenarios import SCENARIOS
     from benchmarks.random_forces.simulator import simulate
     from benchmarks.random_forces.trial import believed, dataset, nominal_model
 
     problem, (train, test) = load_problem("remus_diving_plane"), split()
-    passes(problem.model, train, list(problem.effects))
     scenario = SCENARIOS["medium"]
     (drawn,) = simulate(scenario, 0, range(1))
     model = nominal_model(scenario.vehicle).with_values(believed(scenario))
@@ -457,7 +404,7 @@ def likelihood() -> Iterator[Measured]:
 
 
 def score() -> Iterator[Measured]:
-    """Time of the score test."""
+    """The score test of all candidate effects on 2,703 samples; the first fit is not counted."""
     from oed_sysid.evidence.score import scores
 
     problem, (train, _) = load_problem("remus_diving_plane"), split()
@@ -475,7 +422,6 @@ def score() -> Iterator[Measured]:
         f"{', '.join(s.effect.name for s in ranked[:3])}; on the clock {clock:.3f} s"
     )
     yield Measured("score test of all candidates, processor time", seconds, 0.3, "s")
-    print(f"for 40 candidates, in proportion: {40 * seconds / len(candidates):.3f} s")
 
 
 def timed(words: str, call: Callable[[], Any]) -> tuple[Any, float]:
@@ -487,12 +433,13 @@ def timed(words: str, call: Callable[[], Any]) -> tuple[Any, float]:
     return result, wall
 
 
-def long_search(samples: int = 90_000) -> Iterator[Measured]:
-    """Search in one record, which `improve` splits itself."""
+def long_search() -> Iterator[Measured]:
+    """`improve` on one dive of half an hour at 50 Hz, which it splits, with a hidden heave drag."""
     problem = load_problem("remus_diving_plane")
     hidden = problem.effect("heave_crossflow_drag")
     (size,) = hidden.amplitude_names
     truth = (problem.model + hidden).with_values({size: -40.0})
+    samples = 90_000
     run = dive(truth, 0.02 * np.arange(samples))
     data = Dataset((replace(run, channels=problem.channels),))
     found, wall = timed(
@@ -532,8 +479,12 @@ def six_degrees_task() -> tuple[Model, Dataset, Dataset]:
     return model, *datasets(auv, runs, model)
 
 
-def six_degrees(*, search: bool = True) -> Iterator[Measured]:
-    """A white fit, one with process noise, and a search; compiling is left out."""
+def six_degrees() -> Iterator[Measured]:
+    """Two fits and a search in six degrees of freedom: 12 states, 25 parameters, 36,030 samples.
+
+    The AUV of :mod:`benchmarks.other_vehicles`, simulated by that benchmark's own code at 20 Hz;
+    compiling is left out.
+    """
     from benchmarks.other_vehicles.models import nominal
 
     own, (model, train, test) = nominal("auv"), six_degrees_task()
@@ -547,8 +498,6 @@ def six_degrees(*, search: bool = True) -> Iterator[Measured]:
         fit, wall = timed(f"fit, {words}", lambda e=estimator: e.fit(full, train))
         print(f"  {fit.status.code}, {fit.iterations} iterations, {fit.normalised_rms:.3f} x noise")
         yield Measured(f"fit, {words}, {size}", wall, target, "s")
-    if not search:
-        return
     others = [effect for effect in own.candidates if effect.name not in DRAGS]
     chosen = [own.effect("stern_lag"), *others][: CANDIDATES + 1]
     chosen = list({effect.name: effect for effect in chosen}.values())[:CANDIDATES]
@@ -565,7 +514,11 @@ DECISIONS = (
 
 
 def decision() -> Iterator[Measured]:
-    """First call, which compiles, and the least of three others, by problem and variant."""
+    """To stop or to go on (`decide`) over the library that `campaign` makes, in a moderate sea.
+
+    Known is one run, the goal is half of the errors that it leaves; the first call, which compiles,
+    and the least of three others.
+    """
     from oed_sysid.design import ParameterGoal, candidate_runs, decide
     from oed_sysid.design.vehicles import draw_models
     from oed_sysid.information import information_of, sea_noise
@@ -637,7 +590,7 @@ def fresh(
 
 
 def startup() -> Iterator[Measured]:
-    """From nothing to a result; *cold* compiles, once per model structure, and says so."""
+    """Import, first fit and first compilation in fresh processes."""
     bare, _, _ = fresh("pass", repeats=7)
     light, _, _ = fresh(IMPORT, repeats=7)
     with tempfile.TemporaryDirectory() as folder:
@@ -682,8 +635,12 @@ def by_records(path: str) -> None:
     reading(lambda: read_csv(path, channels))
 
 
-def tables(rows: int = 2_000_000) -> Iterator[Measured]:
-    """Time and memory of a large CSV file, beside pandas."""
+def tables() -> Iterator[Measured]:
+    """Records of a CSV file of 2,000,000 rows and six columns, beside its numbers by pandas.
+
+    Units, channels and all checks included; fresh processes, imports not counted.
+    """
+    rows = 2_000_000
     rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "long.csv"
@@ -708,7 +665,7 @@ def tables(rows: int = 2_000_000) -> Iterator[Measured]:
     yield Measured("the same, growth of memory", memory / least_memory, 2.0)
 
 
-PARTS: dict[str, Callable[..., Iterator[Measured]]] = {
+PARTS: dict[str, Callable[[], Iterator[Measured]]] = {
     part.__name__: part
     for part in (
         kernel, information, startup, score, growth, swarm, fit_speed, likelihood, long_search,
@@ -717,28 +674,18 @@ PARTS: dict[str, Callable[..., Iterator[Measured]]] = {
 }  # fmt: skip
 
 
-def main(names: Sequence[str] = (), *, samples: int = 90_000, fit_only: bool = False) -> None:
+def main(names: Sequence[str] = tuple(PARTS)) -> None:
     """Measure what is named.
 
     Parameters
     ----------
     names : sequence of str
-        any of those that the module lists
-    samples : int
-        length of the record of long_search
-    fit_only : bool
-        leave out the search of six_degrees
+        parts; all without a name
     """
-    if unknown := [name for name in names if name not in PARTS]:
-        raise SystemExit(f"there is no {unknown[0]}; choose from {', '.join(PARTS)}")
-    options: dict[str, dict[str, Any]] = {
-        "long_search": {"samples": samples},
-        "six_degrees": {"search": not fit_only},
-    }
     print(machine())
-    for name in names or PARTS:
+    for name in [known(name, PARTS, "part") for name in names]:
         print(f"\n{name}", flush=True)
-        for row in PARTS[name](**options.get(name, {})):
+        for row in PARTS[name]():
             print(row, flush=True)
 
 

@@ -1,36 +1,25 @@
-r"""Spikes, bursts and drop-outs of sensors: what the default fit makes of them.
+"""Spikes, bursts and drop-outs of sensors: what the default fit makes of them.
 
     OMP_NUM_THREADS=1 python -m benchmarks.spikes [worlds] [--sets 100] [--seed 0] [--kinds 2%_20]
 
 Data sets of `benchmarks.random_forces` are spoilt after the simulation (the pilot saw none of it)
-and fitted with ``MultipleShooting()``; each is compared with the fit to the same set unspoilt.
-A world is a vehicle and what moves it beside its inputs: ``white`` and ``ship_white`` nothing,
-``medium`` and ``ship_gusts`` first-order forces. What spoils a record:
+and fitted with ``MultipleShooting()``; each is compared with the fit to the same set unspoilt,
+``clean`` with the one that looks for no spikes (``loss="square"``). What spoils a record:
 
 ``share_size``
     This share of the samples of every output is off by so many standard deviations of its noise,
     up or down; with ``_up`` all upward; ``mixed``: 5 to 50, uniform.
 ``bursts``
     2 % of the samples, 20 standard deviations of either sign, in groups of two to five.
-``zeros``
-    2 % of the samples, in groups of five to twenty, read zero.
-``absent``
-    The same groups are not there (NaN).
-``held``
-    The same groups repeat the last value before them.
-
-A kind counts: the share of 95 % intervals that hold the truth, its lowest for one parameter; the
-error over that of the clean sets, root mean square over sets for each parameter, its root mean
-square over parameters and the highest; fits that did not converge, raised, or took processes for
-disturbance forces; samples left out over those spoilt; processor time over that of clean sets.
-``clean`` compares the fit with the one that looks for no spikes (``loss="square"``).
+``zeros``, ``absent``, ``held``
+    2 % of the samples, in groups of five to twenty, read zero, are not there (NaN), or repeat the
+    last value before them.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -39,10 +28,9 @@ import numpy as np
 
 from benchmarks.harness import RESULTS, Row, Store, command, known, markdown, run_cases
 from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES
-from benchmarks.random_forces.simulator import Set, believed, simulate, stream
-from benchmarks.random_forces.trial import dataset, nominal_model
+from benchmarks.random_forces.simulator import Set, simulate, stream
+from benchmarks.random_forces.trial import outcome
 from benchmarks.rates import TWO_SIDED_95
-from oed_sysid import MultipleShooting
 
 WORLDS = ("white", "ship_white")
 # Spoils the outputs of one record; noise levels and random numbers as arguments.
@@ -101,37 +89,21 @@ FEW = ("0.5%_20", "2%_5", "2%_20", "2%_20_up", "2%_50", "5%_20", "2%_mixed", "bu
 
 
 def fitted(world: str, data: Set, spoil: Spoil | None, seed: int, loss: str = "auto") -> Row:
-    """Errors, stated errors and what else a fit to one set says."""
+    """What a fit to one set says, and how many samples of it were spoilt."""
     scenario = SCENARIOS[world]
-    vehicle = VEHICLES[scenario.vehicle]
-    model = nominal_model(scenario.vehicle).with_values(believed(scenario))
+    noise = np.array(VEHICLES[scenario.vehicle].noise_std)
     runs, spoilt = [], 0
     for run in data.runs:
         outputs = run.outputs
         if spoil is not None:
-            rng = stream(seed, data.number, run.name, "spoilt")
-            outputs = spoil(outputs, np.array(vehicle.noise_std), rng)
+            outputs = spoil(outputs, noise, stream(seed, data.number, run.name, "spoilt"))
         spoilt += int(np.sum((outputs != run.outputs) & np.isfinite(outputs)))
         runs.append(replace(run, outputs=outputs))
-    names = list(vehicle.believed)
-    empty = dict.fromkeys(("error", "std"), [np.nan] * len(names))
-    began = time.process_time()
-    try:
-        fit = MultipleShooting(loss=loss).fit(model, dataset(scenario, model, runs))
-    except Exception as error:  # counted, not stopped at
-        return {**empty, "status": f"raised {type(error).__name__}", "seconds": np.nan,
-                "forces": False, "left_out": 0, "spoilt": spoilt, "concerns": []}  # fmt: skip
-    seconds = time.process_time() - began
-    return {
-        "error": [fit.values[name] - data.truth[name] for name in names],
-        "std": [fit.std_errors[name] for name in names],
-        "status": fit.status.code,
-        "seconds": seconds,
-        "forces": bool(np.any(np.atleast_1d(fit.noise.force) > 0.0) or fit.noise.seas),
-        "left_out": sum(count for count, _ in fit.excluded.values()),
-        "spoilt": spoilt,
-        "concerns": sorted({concern.kind for concern in fit.concerns}),
-    }
+    settings = {"loss": loss, "predict": False}
+    found = outcome(scenario, replace(data, runs=tuple(runs)), settings)
+    error = [found.estimates[name] - value for name, value in found.truth.items()]
+    std = [found.std_errors[name] for name in found.truth]
+    return {**asdict(found), "error": error, "std": std, "spoilt": spoilt}
 
 
 @lru_cache(maxsize=1)
@@ -161,7 +133,8 @@ def measured(fits: Sequence[Row], clean: Sequence[Row]) -> Row:
     error, std = column(fits, "error"), column(fits, "std")
     held = np.abs(error) <= TWO_SIDED_95 * std  # NaN is no
     size, of_clean = (np.sqrt(np.nanmean(column(r, "error") ** 2, axis=0)) for r in (fits, clean))
-    concerns = sorted({c for row in fits for c in row["concerns"]})
+    warned = [{kind for kind in row["concerns"] if kind != row["status"]} for row in fits]
+    concerns = sorted(set().union(*warned))
     found: dict[str, Any] = {
         "coverage": 100 * float(held.mean()),
         "coverage_error": 100 * float(held.mean(axis=1).std() / np.sqrt(len(fits))),
@@ -170,11 +143,11 @@ def measured(fits: Sequence[Row], clean: Sequence[Row]) -> Row:
         "worst_ratio": float((size / of_clean).max()),
         "not_ok": sum(row["status"] not in ("converged",) for row in fits),
         "raised": sum(row["status"].startswith("raised") for row in fits),
-        "forces": sum(row["forces"] for row in fits),
+        "forces": sum(row["disturbed"] for row in fits),
         "left_out": float(column(fits, "left_out").sum() / max(column(fits, "spoilt").sum(), 1.0)),
         "seconds": float(np.nanmedian(column(fits, "seconds"))),
         "slower": float(np.nansum(column(fits, "seconds")) / np.nansum(column(clean, "seconds"))),
-        "concerns": {c: sum(c in row["concerns"] for row in fits) for c in concerns},
+        "concerns": {c: sum(c in own for own in warned) for c in concerns},
     }
     return {name: round(v, 4) if isinstance(v, float) else v for name, v in found.items()}
 
@@ -221,8 +194,6 @@ def main(
         what spoils them; all by default
     few : bool
         ten kinds only
-    store : Path
-        where finished cases are
     """
     chosen = ("clean", *FEW) if few else tuple(kinds)
     for kind in chosen:

@@ -1,42 +1,45 @@
 """Exam of the check of logs: faults put into simulated logs, and logs without any.
 
     python -m benchmarks.spoilt_logs [faults clean inputs] [--seeds N] [--first SEED] [--kind WORD]
-    python -m benchmarks.spoilt_logs copies as_they_are measured
+    python -m benchmarks.spoilt_logs copies as_they_are
 
-Two vehicles that share nothing with the package: a diving plane and a ship, zigzags and steps
-integrated by Runge and Kutta's fourth order at a fifth of the sampling step, with random forces.
-Three records of 900 samples at three speeds; noise is declared to nobody. Each kind of fault comes
-in sizes; ``named`` is the right kind and signal as a suspect finding (or among its alternatives),
-``first`` the strongest of them, ``suspect`` anything suspect at all. ``inputs`` spoils those of a
-shipped problem whose true parameters are drawn from the priors of its model.
-
-``copies`` spoils the records of a hidden-effect case (another simulator, nothing hidden) in fifteen
-ways, training and validation alike, and gives them to the check and to ``improve``: none may be
+Two vehicles that share nothing with the package: a diving plane and a ship, zigzags and steps,
+with random forces. Three records of 900 samples at three speeds; noise is declared to nobody.
+``named`` is the right kind and signal as a suspect finding (or among its alternatives), ``first``
+the strongest of them, ``suspect`` anything suspect at all. ``inputs`` spoils those of a shipped
+problem whose true parameters are drawn from the priors of its model. ``copies`` spoils the records
+of a hidden-effect case, training and validation alike, for the check and `improve`: none may be
 certified, that is said to be adequate, or a disturbance, without a word about the fault.
-``measured`` says what the check makes of measured files.
 """
 
 from __future__ import annotations
 
+import os
 import sys
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 
 from benchmarks.harness import Row, command, known
-from benchmarks.kinematics import (
-    data_folder,
-    diving_plane,
-    hidden_effect_cases,
-    measured_files,
-    ship,
-)
 from benchmarks.truth import gauss_markov, runge_kutta
-from oed_sysid import Dataset, Model, Record, check, improve, load_problem, read_csv
+from oed_sysid import (
+    Dataset,
+    Input,
+    Model,
+    Output,
+    Parameter,
+    Problem,
+    Record,
+    State,
+    check,
+    improve,
+    load_problem,
+    read_csv,
+)
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.check import LogCheck
 from oed_sysid.experiments.schedules import FromRecord
@@ -45,6 +48,57 @@ from oed_sysid.experiments.simulation import simulate
 Signals = dict[str, np.ndarray]
 Shape = Callable[[Signals, np.ndarray], np.ndarray]
 SAMPLES, FINER = 900, 5
+HIDDEN_EFFECTS = Path(os.environ.get("OED_SYSID_DATA", ".")) / "hidden_effects"
+
+# -- kinematics of the vehicles; their dynamics the check does not use ---------------------
+
+
+def kinematic_model(name: str, kinematics: dict[str, str], units: dict[str, str]) -> Model:
+    """Kinematics with first-order responses of all velocities."""
+    rates = {n: f"(K*fin - {n})/T" for n in units if n not in kinematics}
+    return Model(
+        name,
+        states=tuple(State(n, u) for n, u in units.items()),
+        inputs=(Input("fin", "rad"),),
+        outputs=tuple(Output(n, u) for n, u in units.items()),
+        kinematics=kinematics | rates,
+        parameters=(Parameter("K", 1.0), Parameter("T", 5.0, "s")),
+    )
+
+
+def diving_plane() -> Model:
+    """Surge, heave and pitch."""
+    return kinematic_model(
+        "diving plane",
+        {"theta": "q", "z": "-u*sin(theta) + w*cos(theta)"},
+        {"u": "m/s", "w": "m/s", "q": "rad/s", "theta": "rad", "z": "m"},
+    )
+
+
+# Position and heading in the horizontal plane.
+PLANE = {"x": "u*cos(psi) - v*sin(psi)", "y": "u*sin(psi) + v*cos(psi)", "psi": "r"}
+
+
+def ship() -> Model:
+    """Surge, sway and yaw."""
+    return kinematic_model(
+        "ship",
+        PLANE,
+        {"u": "m/s", "v": "m/s", "r": "rad/s", "psi": "rad", "x": "m", "y": "m"},
+    )
+
+
+def hidden_effect_cases() -> dict[str, tuple[Problem, Dataset]]:
+    """Training records of all hidden-effect cases, by name."""
+    problem = load_problem("remus_diving_plane")
+    folders = sorted(HIDDEN_EFFECTS.glob("case_*"))
+    return {
+        folder.name: (problem, read_csv(sorted(folder.glob("train_*.csv")), problem.channels))
+        for folder in folders
+    }
+
+
+# -- how they move ---------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -538,7 +592,7 @@ def copies(seeds: range = range(1), only: str = "", crafts: Sequence[Craft] = ()
     if not cases:
         raise SystemExit("no hidden_effects folder below OED_SYSID_DATA")
     problem, train = cases["case_010"]
-    files = sorted((data_folder() / "hidden_effects" / "case_010").glob("test_*.csv"))
+    files = sorted((HIDDEN_EFFECTS / "case_010").glob("test_*.csv"))
     test, rows = read_csv(files, problem.channels), list[Row]()
     for name, one in COPIES.items():
         if only not in name:
@@ -573,25 +627,8 @@ def as_they_are(seeds: range = range(1), only: str = "", crafts: Sequence[Craft]
     return rows
 
 
-def measured(seeds: range = range(1), only: str = "", crafts: Sequence[Craft] = ()) -> list[Row]:
-    """What the check says about measured files."""
-    rows = list[Row]()
-    for title, model, load in measured_files():
-        if only not in title:
-            continue
-        with warnings.catch_warnings(record=True) as notes:
-            warnings.simplefilter("always")
-            found = check(load(), model)
-        wrapped = any("unwrapped" in str(note.message) for note in notes)
-        print(f"{title}{' (heading wraps)' if wrapped else ''}")
-        for one in found.findings:
-            print(f"     {'*' if one.suspect else ' '} {one.says}", flush=True)
-        rows.append({"file": title, "said": [one.says for one in found.findings]})
-    return rows
-
-
 PARTS: dict[str, Callable[..., list[Row]]] = {
-    part.__name__: part for part in (faults, clean, inputs, copies, as_they_are, measured)
+    part.__name__: part for part in (faults, clean, inputs, copies, as_they_are)
 }
 
 
@@ -608,13 +645,13 @@ def main(
     Parameters
     ----------
     parts : sequence of str
-        faults, clean, inputs, copies, as_they_are, measured
+        faults, clean, inputs, copies, as_they_are
     seeds : int
         logs of each kind
     first : int
         first seed
     kind : str
-        only kinds of fault or noise, copies or files with this word
+        only kinds of fault or noise, or copies, with this word
     vehicle : str
         only the one with this word in its name
     """

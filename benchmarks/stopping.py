@@ -3,18 +3,15 @@
     OMP_NUM_THREADS=1 python -m benchmarks.stopping [--seeds 20] [--hidden NAME ...] [--rules ...]
                                                     [--swell 8]
 
-Dives of the REMUS-like vehicle in a moderate sea, or with ``--swell`` in one of that period, until
-all eight coefficients are known to six per cent, or three hours are over; coefficients are up to 12
-per cent off, and something may act that the model does not know, at its usual size unless
-`EFFECT=SIZE` is given. Dives are planned (those
-that `decide` chooses) or the standard programme's in turn. Three rules stop them:
+Dives of the REMUS-like vehicle in a moderate sea, or in a swell of that period, until all eight
+coefficients are known to six per cent, or three hours are over; coefficients are up to 12 per cent
+off, and something may act that the model does not know (`EFFECT` of usual size, or `EFFECT=SIZE`).
+Dives are planned (those that `decide` chooses) or the standard programme's in turn. They stop by
 
 - *errors*: all stated errors are small enough (nothing else is asked);
 - *checked*: `decide` says stop, or that records contradict the model;
-- *searched*: the same, but what contradicts starts a search for what is missing (`improve`, all
-  forty candidates of the problem); the model found is fitted, and dives go on.
-
-Every trial is kept in benchmarks/results/stopping.jsonl, and not repeated; `--show` prints only.
+- *searched*: the same, but what contradicts starts a search for what is missing (`improve`); the
+  model found is fitted, and dives go on.
 """
 
 from __future__ import annotations
@@ -203,8 +200,6 @@ def main(
         errors, checked, searched
     swell : float
         period of a swell of the same strength in place of first-order forces, s; 0 for none
-    show : bool
-        print finished trials only
     """
     wanted = [
         (one, arm, rule, seed, swell)

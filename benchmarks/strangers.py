@@ -9,10 +9,8 @@ springs a displacement :math:`\dot x_i = v_i`,
 
     \dot v_i = b_i\,\delta_{j(i)} - d_i v_i - k_i x_i + c_i v_0 v_{i-1} + h_i + w_i,
 
-all but the coupling :math:`c_i` estimated from values 10 to 30 % off. The truth, actuators, sensors
-and what is hidden in them included, is integrated by SciPy; nothing here is told the package but
-the nominal model and its candidates. The seed is new at every release, and no rule is tuned on it:
-rates of older seeds stay in the store.
+all but the coupling :math:`c_i` estimated from values 10 to 30 % off. The truth is integrated by
+SciPy. The seed is new at every release, and no rule is tuned on it: rates of older seeds stay.
 """
 
 from __future__ import annotations
@@ -455,14 +453,6 @@ def main(
         date of a release, as 20261124
     cases : int
         cases
-    jobs : int
-        processes
-    store : Path
-        store of finished cases
-    limit : float
-        processor seconds for one improvement
-    minutes : float
-        wait for no case after that
     """
     wanted = {f"{seed}/{number}": partial(judge, seed, number, limit) for number in range(cases)}
     print(table(run_cases(Store(store), wanted, n_jobs=jobs, minutes=minutes, tell=summary)))

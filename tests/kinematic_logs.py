@@ -7,14 +7,16 @@ ten times finer than they are sampled.
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from benchmarks.kinematics import diving_plane, ship
+from benchmarks.spoilt_logs import PLANE, diving_plane, ship
 from benchmarks.truth import gauss_markov
-from oed_sysid import Dataset, Model, Record
+from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, read_csv
 from oed_sysid.evidence.check import LogCheck
 
 FINE = 10
@@ -145,3 +147,39 @@ def match(found: LogCheck, fault: Fault):  # type: ignore[no-untyped-def]
         if fix is not None and fix.kind == fault.kind and set(fix.signals) == set(fault.signals):
             return one
     return None
+
+
+def free_running(columns: dict[str, str], rudder: str, *, wrap: bool = False) -> Model:
+    """Return a ship in surge, sway and yaw as a check needs it: kinematics and names of columns."""
+    units = {"x": "m", "y": "m", "psi": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}
+    kinematics = PLANE | {"u": "-u/T", "v": "-v/T", "r": "(K*delta - r)/T"}
+    return Model(
+        "free-running model",
+        states=tuple(State(name, unit) for name, unit in units.items()),
+        inputs=(Input("delta", "rad", column=rudder),),
+        outputs=tuple(
+            Output(name, unit, column=columns[name], wrap=wrap and name == "psi")
+            for name, unit in units.items()
+        ),
+        kinematics=kinematics,
+        parameters=(Parameter("K", 0.1, "1/s"), Parameter("T", 10.0, "s")),
+    )
+
+
+HSVA = {"x": "x0", "y": "y0", "psi": "psi", "u": "dx0", "v": "dy0", "r": "r"}
+ESSO = {
+    "x": "x_position_mid", "y": "y_position_mid", "psi": "psi_hat", "u": "u_velo", "v": "vm_velo",
+    "r": "r_angvelo",
+}  # fmt: skip
+
+
+def read_filled(path: Path, model: Model) -> Dataset:
+    """Read a file without the empty rows at its end."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    kept = [line for line in lines if line.split(",")[0].strip() not in ("", "nan", "NaN")]
+    if len(kept) == len(lines):
+        return read_csv(path, model.channels)
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / path.name
+        copy.write_text("\n".join([*kept, ""]), encoding="utf-8")
+        return read_csv(copy, model.channels)

@@ -12,15 +12,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 from altered import altered, part, trials
-from kinematic_logs import DIVER, SHIP, Fault, Vehicle, log, match, pair
+from kinematic_logs import (
+    DIVER,
+    ESSO,
+    HSVA,
+    SHIP,
+    Fault,
+    Vehicle,
+    free_running,
+    log,
+    match,
+    pair,
+    read_filled,
+)
 from marks import slow
 from motion import UNITS, outputs, states
 from scipy.fft import dct
 from scipy.signal import lfilter
 
-from benchmarks.kinematics import ESSO, HSVA, free_running, hidden_effect_cases, read_filled
 from benchmarks.spoilt_logs import COPIES as SPOILS
-from benchmarks.spoilt_logs import named_as, spoil
+from benchmarks.spoilt_logs import hidden_effect_cases, named_as, spoil
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.evidence import inputs
 from oed_sysid.evidence.check import (

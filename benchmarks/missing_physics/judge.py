@@ -15,19 +15,15 @@ from benchmarks.rates import detectable, searched
 from oed_sysid import (
     Dataset,
     Force,
-    Model,
-    MultipleShooting,
     Parameter,
     Problem,
     Record,
     load_problem,
-    replayed,
 )
 from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
-from oed_sysid.likelihood.whole_runs import rms, whole_runs
 from oed_sysid.physics import Effect
 
 
@@ -126,7 +122,8 @@ def _true_values(effect: Effect, case: Case) -> dict[str, float]:
 
 
 @lru_cache(maxsize=1)
-def _problem() -> Problem:
+def nominal() -> Problem:
+    """The problem whose model lacks what is hidden."""
     return load_problem("remus_diving_plane")
 
 
@@ -141,7 +138,7 @@ def datasets(problem: Problem, records: Sequence[Records]) -> tuple[Dataset, Dat
 
 def judge(draw: Draw, case: Case, records: Sequence[Records]) -> Row:
     """Improve the nominal model on one case, and compare with the truth."""
-    problem = _problem()
+    problem = nominal()
     train, test = datasets(problem, records)
     found, told = searched(problem.model, train, test, problem.effects)
     entry: Row = {
@@ -154,31 +151,6 @@ def judge(draw: Draw, case: Case, records: Sequence[Records]) -> Row:
     if found is None:
         return entry
     try:
-        entry["nominal"] = nominal_runs(problem.model, train, test)
         return entry | true_structure(problem, train, test, case, found)
     except Exception as error:  # a case that breaks is a result too
         return entry | {"error": f"{type(error).__name__}: {error}"}
-
-
-def nominal_runs(model: Model, train: Dataset, test: Dataset) -> Row:
-    """What whole runs say of the nominal model, fitted as by default, and which values replay best.
-
-    ``replay`` is the whole-run error on the test records with the values for runs, over that of the
-    better of two fits: with process noise and without.
-    """
-    fit = MultipleShooting().fit(model, train)
-    calm = MultipleShooting(disturbances="none").fit(model, train)
-    levels = fit.whole_runs.each("noise")
-    errors = [
-        float(np.sqrt(np.nanmean((rms(whole_runs(one.model, test, levels)) / levels) ** 2)))
-        for one in (fit, calm, replayed(fit))
-    ]
-    best = min(errors[:2])
-    return {
-        "process_noise": fit.noise.has_forces,
-        "said": bool(fit.whole_runs.said),
-        "unasked": fit.whole_runs.unasked,
-        "z": [None if np.isnan(z) else float(z) for z in fit.whole_runs.each("z")],
-        "errors": [float(np.nan_to_num(error, posinf=1e9)) for error in errors],
-        "replay": errors[2] / best if np.isfinite(best) else None,
-    }

@@ -93,7 +93,6 @@ def _rates(entries: Sequence[Entry]) -> list[Row]:
     right = "unknown effect: only the right equation is changed"
     return [
         *rates,
-        *_of_whole_runs(entries),
         share("disturbed, nothing hidden: false claims", claims, disturbed, "<= 0.05"),
         number(f"{error}: median", ratios, 50, "<= 1.02"),
         number(f"{error}: 90th percentile", ratios, 90, "<= 1.10"),
@@ -102,25 +101,6 @@ def _rates(entries: Sequence[Entry]) -> list[Row]:
         number(f"{spent}: median", seconds, 50, "<= 10"),
         number(f"{spent}: 90th percentile", seconds, 90),
     ]
-
-
-def _of_whole_runs(entries: Sequence[Entry]) -> list[Row]:
-    """Whether whole runs of the nominal model say structure, and how well its values replay."""
-    asked = [e for e in entries if e.get("nominal", {}).get("process_noise")]
-    hidden = [e for e in asked if e["hidden"] != "none" and e["detectable"]]
-    calm = of_kind(asked, "none", "force", "gust")
-    ratios = [e["nominal"]["replay"] for e in hidden if e["nominal"]["replay"]]
-    words = "whole-run error of the values for runs / better of with and without process noise"
-    return [
-        share("hidden by process noise: structure said", _said, hidden, ">= 0.85"),
-        share("true disturbances: structure said", _said, calm, "<= 0.02"),
-        number(f"{words}: median", ratios, 50, "<= 1.1"),
-        number(f"{words}: 90th percentile", ratios, 90, "<= 1.25"),
-    ]
-
-
-def _said(entry: Entry) -> bool:
-    return bool(entry["nominal"]["said"])
 
 
 def _is_failure(entry: Entry) -> bool:

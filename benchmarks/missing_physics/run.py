@@ -69,16 +69,8 @@ def main(
     ----------
     plan : str
         kinds of cases and how many, as "single/white:40 none/white:20"
-    jobs : int
-        processes
     results : Path
         store of finished cases
-    minutes : float
-        wait for no case after that
-    measure : bool
-        run nothing: measure what is there
-    table : Path
-        write the measures there as Markdown
     """
     found = (
         measures(Store(results).rows())

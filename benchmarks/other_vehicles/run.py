@@ -3,11 +3,8 @@
     OMP_NUM_THREADS=1 python -m benchmarks.other_vehicles coaster motor --cases 20 --jobs 1
     OMP_NUM_THREADS=1 python -m benchmarks.other_vehicles --cases 18 --unprepared
 
-Finished cases are kept as lines of JSON in the store and never computed again. ``--unprepared``
-names no candidate: `improve` makes its own from the model and the records. Names differ from
-those of the truth then, so that a case is judged by what the found model predicts: *right* is an
-error of whole validation runs of at most 1.05 times that of the true structure fitted to the same
-records.
+``--unprepared`` names no candidate: `improve` makes its own from the model and the records. *Right*
+is then an error of whole validation runs of at most 1.05 times that of the true structure.
 """
 
 from __future__ import annotations
@@ -75,20 +72,8 @@ def main(
         cases of every vehicle
     only : sequence of int
         numbers of cases
-    jobs : int
-        processes
-    store : Path
-        store of finished cases
-    limit : float
-        processor seconds for one improvement
-    minutes : float
-        wait for no case after that
-    measure : bool
-        run nothing: measure what is there
     unprepared : bool
         name no candidate
-    table : Path
-        write the measures there as Markdown
     """
     name = "unprepared" if unprepared else "other_vehicles"
     place = store or RESULTS / f"{name}.jsonl"

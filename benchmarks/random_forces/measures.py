@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from benchmarks.harness import markdown
 from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES, Scenario
+from benchmarks.random_forces.simulator import Set
 from benchmarks.random_forces.trial import Outcome
 
 QUANTILE = 1.959964
@@ -65,7 +67,8 @@ def measure(
     }
     both = [i for i, o in enumerate(outcomes) if o.number in known]
     if both:
-        found["reference"] = _against(scenario, outcomes, both, error, known)
+        fits = of_reference([outcomes[i] for i in both], known)
+        found["reference"] = _against(scenario, fits, error[both])
     found["missed"] = missed(scenario, found)
     return found
 
@@ -94,6 +97,7 @@ def _told_by(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "flagged": float(100 * np.mean(flagged)),
         "concerns": dict(Counter(kind for o in outcomes for kind in set(o.concerns))),
         "status": dict(Counter(o.status for o in outcomes)),
+        "said": float(100 * np.mean([o.said for o in outcomes])),
         "seconds": float(np.median([o.seconds for o in outcomes])),
         "by_output": {
             output: float(100 * np.mean([one[output] for one in banded]))
@@ -149,36 +153,32 @@ def errors(outcomes: Sequence[Any], names: Sequence[str]) -> tuple[np.ndarray, n
     return error, np.where(np.isnan(z), LARGEST, z)
 
 
+def of_reference(
+    data: Iterable[Outcome | Set], lines: Mapping[int, Mapping[str, Any]]
+) -> list[SimpleNamespace]:
+    """What the reference made of these data sets, with their truth."""
+    return [SimpleNamespace(truth=one.truth, **lines[one.number]) for one in data]
+
+
 def _against(
-    scenario: Scenario,
-    outcomes: Sequence[Outcome],
-    both: Sequence[int],
-    error: np.ndarray,
-    known: Mapping[int, Mapping[str, Any]],
+    scenario: Scenario, fits: Sequence[SimpleNamespace], error: np.ndarray
 ) -> dict[str, Any]:
-    """Errors over those of the reference, on the data sets that both have."""
+    """Errors ``(n_sets, n_parameters)`` over those of the reference on the same data sets."""
     vehicle = VEHICLES[scenario.vehicle]
     names = list(vehicle.believed)
-    rows = [known[outcomes[i].number] for i in both]
-    truth = np.array([[outcomes[i].truth[n] for n in names] for i in both])
-    estimates = np.array([[row["estimates"][n] for n in names] for row in rows])
-    std = np.array([[row["std_errors"][n] for n in names] for row in rows])
-    own = estimates / truth - 1.0
+    own, z = errors(fits, names)
+    found = estimated(names, own, z)
     scale = np.sqrt(np.mean(own**2, axis=0))
-    ratios = np.sqrt(np.mean(error[both] ** 2, axis=0)) / scale
-    coverage = share(np.abs(estimates - truth) <= QUANTILE * std)
+    ratios = np.sqrt(np.mean(error**2, axis=0)) / scale
+    told = [_told(fit.estimates, vehicle.forces) for fit in fits] if any(scenario.force) else []
     return {
-        "sets": len(both),
-        "error_ratio": float(np.sqrt(np.mean((error[both] / scale) ** 2))),
+        "sets": len(fits),
+        "error_ratio": float(np.sqrt(np.mean((error / scale) ** 2))),
         "error_ratio_median": float(np.median(ratios)),
         "by_parameter": dict(zip(names, map(float, ratios), strict=True)),
-        "relative_rms": dict(zip(names, map(float, 100 * scale), strict=True)),
-        "coverage": coverage[0],
-        "coverage_error": coverage[1],
-        "z": float(np.sqrt(np.mean(((estimates - truth) / std) ** 2))),
-        "forces": _forces(scenario, [_told(row["estimates"], vehicle.forces) for row in rows])
-        if any(scenario.force)
-        else None,
+        "relative_rms": {n: part["relative_rms"] for n, part in found["by_parameter"].items()},
+        **{name: found[name] for name in ("coverage", "coverage_error", "z")},
+        "forces": _forces(scenario, told),
     }
 
 
@@ -330,6 +330,7 @@ def _concerns(r: Mapping[str, Any]) -> str:
     kinds = ", ".join(f"{kind} ({count})" for kind, count in r["concerns"].items()) or "nothing"
     states = ", ".join(f"{kind} ({count})" for kind, count in r["status"].items())
     text = f"- {r['scenario']}: misfit {r['misfit']:.3f} x noise; warned of {kinds}; "
+    text += f"physics said to be missing in {r['said']:.0f} %; "
     if np.isfinite(r["local"]):
         text += f"parameters of records to {100 * r['local']:.1f} % of their spread; "
     if r["by_output"]:

@@ -11,13 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import ignorant
-from benchmarks.random_forces.scenarios import (
-    DRONE_THRUST,
-    SHIP_THRUST,
-    VEHICLES,
-    Scenario,
-    Vehicle,
-)
+from benchmarks.random_forces.scenarios import DATA, VEHICLES, Scenario, Vehicle
 from benchmarks.random_forces.simulator import Run, Set, believed
 from oed_sysid import (
     Dataset,
@@ -62,6 +56,12 @@ class Outcome:
         Root mean square error of per-record parameters over their spread.
     sea : dict or None
         What :func:`sea_of` tells.
+    disturbed : bool
+        Whether process noise was taken in.
+    left_out : int
+        Samples that were taken for spikes.
+    said : bool
+        Whether the fit says that process noise has taken the work of physics.
     """
 
     number: int
@@ -77,6 +77,9 @@ class Outcome:
     misfit: float = np.nan
     local: float = np.nan
     sea: dict[str, Any] | None = None
+    disturbed: bool = False
+    left_out: int = 0
+    said: bool = False
 
 
 # Width of a JONSWAP spectrum at half its power.
@@ -88,7 +91,7 @@ def nominal_model(vehicle: str) -> Model:
     """The nominal model without priors."""
     if vehicle == "remus":
         return ignorant(load_problem("remus_diving_plane").model)
-    if vehicle in RATES:
+    if vehicle in DATA["equations"]:
         return _manoeuvring(VEHICLES[vehicle])
     yaw = VEHICLES["yaw"]
     hull = Force(
@@ -118,33 +121,16 @@ def nominal_model(vehicle: str) -> Model:
     )
 
 
-# Equations of the ship and of the drone as a user writes them.
-_SWAY = {
-    "v": "Y_uv*u*v + Y_ur*u*r + Y_d*u*u*rudder",
-    "r": "N_uv*u*v + N_ur*u*r + N_d*u*u*rudder",
-    "psi": "r",
-}
-RATES = {
-    "ship": {
-        "u": f"X_uu*u*abs(u) + {SHIP_THRUST} + v*r",
-        "p": "K_phi*phi + K_p*p + K_ur*u*r + K_d*u*u*rudder",
-        "phi": "p",
-        **_SWAY,
-    },
-    "drone": {"u": f"X_uu*u*abs(u) + {DRONE_THRUST} + 1.5*v*r", **_SWAY},
-}
-UNITS = {"u": "m/s", "v": "m/s", "r": "rad/s", "p": "rad/s", "phi": "rad", "psi": "rad"}
-
-
 def _manoeuvring(vehicle: Vehicle) -> Model:
-    """A vehicle of which every state is measured."""
+    """A vehicle of which every state is measured, its equations as a user writes them."""
+    units = DATA["units"]
     states = zip(vehicle.states, vehicle.noise_std, strict=True)
     return Model(
         name=vehicle.name,
-        states=tuple(State(name, UNITS[name]) for name in vehicle.states),
+        states=tuple(State(name, units[name]) for name in vehicle.states),
         inputs=(Input("rudder", "rad"),),
-        outputs=tuple(Output(name, UNITS[name], noise_std=std) for name, std in states),
-        kinematics={name: RATES[vehicle.name][name] for name in vehicle.states},
+        outputs=tuple(Output(name, units[name], noise_std=std) for name, std in states),
+        kinematics={name: DATA["equations"][vehicle.name][name] for name in vehicle.states},
         parameters=tuple(
             Parameter(name, value, scale=abs(value)) for name, value in vehicle.believed.items()
         ),
@@ -226,6 +212,9 @@ def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outco
         misfit=float(fit.normalised_rms),
         local=float(np.sqrt(np.mean(np.square(local)))) / spread if local else np.nan,
         sea=sea_of(fit, scenario.vehicle),
+        disturbed=bool(np.any(np.atleast_1d(fit.noise.force) > 0.0) or fit.noise.seas),
+        left_out=sum(count for count, _ in fit.excluded.values()),
+        said=bool(fit.whole_runs.said),
     )
 
 
