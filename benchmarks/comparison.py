@@ -10,6 +10,7 @@ be stopped, resumed and enlarged; docs/comparison.md and its picture are written
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from itertools import product
@@ -51,47 +52,8 @@ STORE = Store(
     lambda row: (row["problem"], row["world"], row["seed"], *sorted(row["runs"])),
 )
 NOISE = 1.0  # per cent of the peak
-SYSTEMS = {
-    "auv_diving_plane": "AUV, diving plane",
-    "nomoto_sparse_heading": "ship, Nomoto",
-    "online_ship": "tanker, sway and yaw",
-    "sailboat": "sailboat",
-    "torpedo": "torpedo",
-    "remus_diving_plane": "REMUS",
-    "kvlcc2": "KVLCC2, Nomoto",
-    "catamaran": "catamaran",
-}
-ACTING = {
-    "ideal": "white noise",
-    "forces_5": "forces",
-    "swell": "swell",
-    "spikes": "spikes",
-    "offset": "sensors off",
-    "hidden": "missing physics",
-}
-ESTIMATORS = {
-    "multiple_shooting_disturbed": "multiple shooting, default",
-    "multiple_shooting": "multiple shooting, white",
-    "multiple_shooting_ipopt": "multiple shooting, white, IPOPT",
-    "multiple_shooting_disturbed_ipopt": "multiple shooting, default, IPOPT",
-    "output_error": "single shooting",
-    "equation_error_simpson": "equation error",
-    "total_least_squares": "total least squares",
-    "ls_svm": "LS-SVM, as published",
-    "ls_svm_tuned": "LS-SVM, tuned",
-    "online_ls_svm": "LS-SVM, recursive",
-    "gibbs": "Gibbs sampling",
-    "heading_differences_central": "heading differences",
-    "multiple_shooting_disturbed_told": "multiple shooting, told",
-    "differential_swarm": "differential swarm",
-    "differential_evolution": "differential evolution",
-    "cma_es": "CMA-ES",
-    "particle_swarm": "particle swarm",
-    "multiple_shooting_disturbed_prior": "multiple shooting, prior",
-    "ekf": "extended Kalman filter",
-    "ekf_tuned": "extended Kalman, tuned",
-    "ukf_tuned": "unscented Kalman, tuned",
-}
+DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+SYSTEMS, ACTING, ESTIMATORS = (DATA[part] for part in ("systems", "acting", "estimators"))
 # Who is told as much, by what our default is then called: start values to 50 %; the true start
 # state of a single run, and a region.
 TOLD = {

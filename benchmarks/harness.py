@@ -312,33 +312,103 @@ def known(name: str, names: Iterable[str], kind: str) -> str:
     return name
 
 
-# Options that mean the same in all benchmarks.
-OPTIONS = {
-    "jobs": "processes",
-    "limit": "processor seconds for one improvement",
-    "measure": "run nothing: measure what is there",
-    "minutes": "time after which the rest is left for the next run",
-    "show": "run nothing: print what is finished",
-    "store": "where finished cases are kept, one line of JSON each",
-    "table": "write the measures there as Markdown",
-}
-
-
 def command(main: Callable[..., Any], arguments: Sequence[str] | None = None) -> Any:
     """Call a function as the command line says: its signature is the list of options.
 
     Positional parameters are arguments, the others options; ``bool`` is a flag, a sequence takes
-    several values. Help is what the docstring's *Parameters* say, or :data:`OPTIONS`.
+    several values. Help is what the docstring's *Parameters* say.
     """
-    module = sys.modules[main.__module__]
-    text = inspect.getdoc(main) or ""
-    said = OPTIONS | dict(_said(text.partition("Parameters\n----------\n")[2]))
-    known = inspect.signature(main, eval_str=True).parameters.values()
+    (given,) = _parsed((main,), arguments)
+    return main(**given)
+
+
+def study(
+    cases: Callable[..., Mapping[Any, Any]],
+    table: Callable[[list[Row]], str],
+    store: Store,
+    *,
+    calls: Callable[[Sequence[Any]], Iterable[Callable[[], Row]]] = iter,
+    tell: Callable[[Row], str] = str,
+) -> None:
+    """Run, as the command line says, what is not in a store yet, and print a table.
+
+    Parameters
+    ----------
+    cases : callable
+        What is wanted, by name; its signature is the list of options, beside those of all studies.
+    table : callable
+        Finished cases as Markdown.
+    store : Store
+        Where they are kept, unless the command line names another place.
+    calls, tell : callable
+        See :func:`run_cases`, of whose ``jobs`` the first is one.
+    """
+    own, shared = _parsed((cases, _shared))
+    kept = replace(store, path=shared["store"] or store.path)
+    if shared["show"]:
+        rows = kept.rows()
+    else:
+        how = {"n_jobs": shared["jobs"], "minutes": shared["minutes"]}
+        rows = run_cases(kept, cases(**own), calls, tell=tell, **how)
+    text = table(rows)
+    print(text)
+    if shared["table"]:
+        write_page(shared["table"], text)
+
+
+def _shared(
+    *,
+    jobs: int = 1,
+    minutes: float = 1e9,
+    show: bool = False,
+    store: Path | None = None,
+    table: Path | None = None,
+) -> None:
+    """Take the options of all studies.
+
+    Parameters
+    ----------
+    jobs : int
+        processes
+    minutes : float
+        time after which the rest is left for the next run
+    show : bool
+        run nothing: print all that is finished
+    store : Path
+        where finished cases are kept, one line of JSON each
+    table : Path
+        write the table there as well
+    """
+
+
+def _parsed(
+    functions: Sequence[Callable[..., Any]], arguments: Sequence[str] | None = None
+) -> list[dict[str, Any]]:
+    """Arguments of some functions from one command line, that of the first."""
+    module = sys.modules[functions[0].__module__]
+    text = inspect.getdoc(functions[0]) or ""
     parser = argparse.ArgumentParser(
         description=(module.__doc__ or text).partition("\n")[0],
         prog=f"python -m {module.__spec__.name if module.__spec__ else module.__name__}",
     )
-    for one in known:
+    known = [inspect.signature(one, eval_str=True).parameters.values() for one in functions]
+    for function, parameters in zip(functions, known, strict=True):
+        said = (inspect.getdoc(function) or "").partition("Parameters\n----------\n")[2]
+        _add_options(parser, parameters, dict(_said(said)))
+    values = vars(parser.parse_args(arguments))
+    # An empty list of arguments is the default.
+    return [
+        {n.name: n.default if values[n.name] == [] else values[n.name] for n in parameters}
+        for parameters in known
+    ]
+
+
+def _add_options(
+    parser: argparse.ArgumentParser,
+    parameters: Iterable[inspect.Parameter],
+    said: Mapping[str, str],
+) -> None:
+    for one in parameters:
         kind, several = _kind(one.annotation)
         options: dict[str, Any] = {"default": one.default, "help": said.get(one.name)}
         options |= {"action": "store_true"} if kind is bool else {"type": kind}
@@ -348,9 +418,6 @@ def command(main: Callable[..., Any], arguments: Sequence[str] | None = None) ->
         if several:
             options["nargs"] = several
         parser.add_argument(name, **options)
-    values = vars(parser.parse_args(arguments))
-    # An empty list of arguments is the default.
-    return main(**{n.name: n.default if values[n.name] == [] else values[n.name] for n in known})
 
 
 def _kind(annotation: Any) -> tuple[type, str]:

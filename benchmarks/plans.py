@@ -433,7 +433,7 @@ def _stopped() -> Iterator[tuple[str, str, str, str]]:
     """Lines of `benchmarks.stopping` with nothing hidden."""
     kinds = grouped(
         (row for row in stopping.STORE.rows() if row["hidden"] == stopping.NOTHING
-         and row["rule"] == "checked" and row["arm"] == "planned"),
+         and "failed" not in row and row["rule"] == "checked" and row["arm"] == "planned"),
         lambda row: row.get("swell", 0.0),
     )  # fmt: skip
     for swell, group in kinds.items():

@@ -10,12 +10,11 @@ import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Row, markdown, places_of, write_page
+from benchmarks.harness import Row, markdown, places_of
 from oed_sysid import Dataset, Model, improve
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.physics import Effect
@@ -245,13 +244,6 @@ def as_markdown(
         lines += ["", "Cases that broke:", ""]
         lines += [f"- {row['case']}: {row['error']}" for row in found["broken"]]
     return "\n".join(lines)
-
-
-def told(text: str, page: Path | None) -> None:
-    """Print measures, and write them between the marks of a page where one is named."""
-    print(text)
-    if page:
-        write_page(page, text)
 
 
 def _cell(value: Any) -> str:

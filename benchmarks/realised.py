@@ -18,21 +18,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import (
-    RESULTS,
-    Row,
-    Store,
-    command,
-    grouped,
-    ignorant,
-    known,
-    markdown,
-    run_cases,
-)
+from benchmarks.harness import RESULTS, Row, Store, grouped, ignorant, known, markdown, study
 from benchmarks.missing_physics.simulator import SAMPLE, Case, Truth, integrate
 from benchmarks.random_forces.scenarios import MEDIUM, REMUS
 from benchmarks.random_forces.simulator import swell as waves_of_swell
@@ -186,17 +177,15 @@ def table(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-def main(
+def wanted(
     *,
     repetitions: int = 20,
     forces: Sequence[float] = (1.0,),
     plans: Sequence[str] = ("designed",),
     swell: float = 0.0,
     seed: int = 0,
-    jobs: int = 1,
-    show: bool = False,
-) -> None:
-    """Measure and print.
+) -> dict[str, partial[Row]]:
+    """Repetitions of some plans under some forces, by name.
 
     Parameters
     ----------
@@ -211,17 +200,17 @@ def main(
     seed : int
         of forces and noise
     """
-    wanted: dict[str, partial[Row]] = {}
-    for factor in () if show else forces:
-        for name in plans:
-            plan_name = known(name, PLANS, "plan")
-            wanted |= cases(plan_name, factor, swell, seed, repetitions)
-    if wanted:
-        run_cases(STORE, wanted, n_jobs=jobs, tell=lambda row: row["key"])
-    kinds = grouped(STORE.rows(), lambda row: (row["plan"], row["forces"], row["swell"]))
-    for group in kinds.values():
-        print("\n".join(table(group)), flush=True)
+    found: dict[str, partial[Row]] = {}
+    for factor, name in product(forces, plans):
+        found |= cases(known(name, PLANS, "plan"), factor, swell, seed, repetitions)
+    return found
+
+
+def tables(rows: Sequence[Row]) -> str:
+    """Every plan under every kind of forces."""
+    kinds = grouped(rows, lambda row: (row["plan"], row["forces"], row["swell"]))
+    return "\n".join(line for group in kinds.values() for line in table(group))
 
 
 if __name__ == "__main__":
-    command(main)
+    study(wanted, tables, STORE, tell=lambda row: row["key"])

@@ -19,11 +19,10 @@ from dataclasses import replace
 from functools import partial
 from itertools import combinations
 from time import process_time
-from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import RESULTS, Store, command, markdown, run_cases
+from benchmarks.harness import RESULTS, Row, Store, markdown, study
 from benchmarks.missing_physics.cases import true_derivatives
 from benchmarks.missing_physics.simulator import PRIORS, TRAIN, Case, simulate
 from oed_sysid import Dataset, Problem, Record, load_problem
@@ -139,7 +138,7 @@ def commands_of(design: Design) -> np.ndarray:
     return design.trajectory.inputs[rows]
 
 
-def judged(problem: Problem, truth: str, rival: str, size: float) -> dict[str, Any]:
+def judged(problem: Problem, truth: str, rival: str, size: float) -> Row:
     """One truth: the first dive, the designed one, and the ranking on both."""
     began = process_time()
     pair = (truth, rival)
@@ -171,7 +170,7 @@ def judged(problem: Problem, truth: str, rival: str, size: float) -> dict[str, A
     }
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[Row]) -> str:
     """Finished cases as Markdown."""
     head = (
         "truth", "rival", "size, of usual", "confused before", "expected 2 dlogL", "found",
@@ -196,23 +195,21 @@ def table(rows: list[dict[str, Any]]) -> str:
     )
 
 
-def main(*, show: bool = False) -> None:
-    """Run what is missing, print the table."""
+def cases() -> dict[tuple[str, str], partial[Row]]:
+    """Either member of every pair as the truth."""
     problem = load_problem("remus_diving_plane")
-    wanted = {
+    return {
         (truth, rival): partial(judged, problem, truth, rival, size)
         for a, b, size_a, size_b in pairs(problem)
         for truth, rival, size in ((a, b, size_a), (b, a, size_b))
     }
-    if not show:
-        run_cases(
-            STORE, wanted,
-            tell=lambda row: f"{row['truth']} / {row['rival']}: {row['margin_before']:.1f} -> "
-            f"{row['margin_after']:.1f}",
-        )  # fmt: skip
-    done = STORE.done()
-    print(table([done[key] for key in wanted if key in done]))
+
+
+def told(row: Row) -> str:
+    """How far a truth is ahead of its rival, before and after the designed dive."""
+    before, after = row["margin_before"], row["margin_after"]
+    return f"{row['truth']} / {row['rival']}: {before:.1f} -> {after:.1f}"
 
 
 if __name__ == "__main__":
-    command(main)
+    study(cases, table, STORE, tell=told)

@@ -21,17 +21,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import lru_cache, partial
-from pathlib import Path
+from itertools import product
 from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import RESULTS, Row, Store, command, known, markdown, run_cases
+from benchmarks.harness import RESULTS, Row, Store, known, markdown, study
 from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES
 from benchmarks.random_forces.simulator import Set, simulate, stream
 from benchmarks.random_forces.trial import outcome
 from benchmarks.rates import TWO_SIDED_95
 
+STORE = Store(RESULTS / "spikes.jsonl", key=lambda row: tuple(row["key"]))
 WORLDS = ("white", "ship_white")
 # Spoils the outputs of one record; noise levels and random numbers as arguments.
 Spoil = Callable[[np.ndarray, np.ndarray, np.random.Generator], np.ndarray]
@@ -171,16 +172,20 @@ def cells(row: Row) -> tuple[object, ...]:
     )  # fmt: skip
 
 
-def main(
+def table(rows: Sequence[Row]) -> str:
+    """Finished cases as Markdown."""
+    return "\n".join(markdown(HEAD, map(cells, rows)))
+
+
+def cases(
     worlds: Sequence[str] = WORLDS,
     *,
     sets: int = 100,
     seed: int = 0,
     kinds: Sequence[str] = ("clean", *KINDS),
     few: bool = False,
-    store: Path = RESULTS / "spikes.jsonl",
-) -> None:
-    """Measure what is not in the store yet, and print.
+) -> dict[tuple[object, ...], partial[Row]]:
+    """Kinds of spoilt samples in some worlds.
 
     Parameters
     ----------
@@ -195,15 +200,11 @@ def main(
     few : bool
         ten kinds only
     """
-    chosen = ("clean", *FEW) if few else tuple(kinds)
-    for kind in chosen:
-        known(kind, ("clean", *KINDS), "kind")
-    keys = [(known(world, SCENARIOS, "world"), k, sets, seed) for world in worlds for k in chosen]
-    kept = Store(store, key=lambda row: tuple(row["key"]))
-    wanted = {key: partial(case, *key) for key in keys}
-    rows = run_cases(kept, wanted, tell=lambda row: " | ".join(map(str, cells(row))))
-    print("\n".join(markdown(HEAD, (cells(row) for row in rows))))
+    chosen = ("clean", *FEW) if few else kinds
+    pairs = product(worlds, [known(kind, ("clean", *KINDS), "kind") for kind in chosen])
+    keys = [(known(world, SCENARIOS, "world"), kind, sets, seed) for world, kind in pairs]
+    return {key: partial(case, *key) for key in keys}
 
 
 if __name__ == "__main__":
-    command(main)
+    study(cases, table, STORE, tell=lambda row: " | ".join(map(str, cells(row))))

@@ -18,11 +18,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache, partial
+from itertools import product
 from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import RESULTS, Row, Store, command, grouped, tabulate
+from benchmarks.harness import RESULTS, Row, Store, grouped, study, tabulate
 from oed_sysid import Dataset, Limits, Model, MultipleShooting, improve, load_problem
 from oed_sysid.design import (
     Budget,
@@ -172,21 +174,38 @@ COLUMNS: dict[str, Callable[[tuple[str, str, str, float], list[Row]], object]] =
 def table(rows: list[Row]) -> str:
     """Rows of a table in Markdown."""
     groups = grouped(
-        rows, lambda row: (row["hidden"], row["rule"], row["arm"], row.get("swell", 0.0))
+        (row for row in rows if "failed" not in row),
+        lambda row: (row["hidden"], row["rule"], row["arm"], row.get("swell", 0.0)),
     )
-    return "\n".join(tabulate(groups, COLUMNS))
+    failed = [row for row in rows if "failed" in row]
+    words = [f"{row['hidden']}, seed {row['seed']}: {row['failed']}" for row in failed]
+    return "\n".join([*tabulate(groups, COLUMNS), *words])
 
 
-def main(
+@cache
+def trial(swell: float) -> Trial:
+    """What trials in a sea share."""
+    return Trial(swell)
+
+
+def case(hidden: str, arm: str, rule: str, seed: int, swell: float) -> Row:
+    """One trial, or why there is none."""
+    try:
+        found = trial(swell).run(hidden, arm, rule, seed)
+    except OedSysidError as error:
+        found = {"hidden": hidden, "arm": arm, "rule": rule, "seed": seed, "failed": str(error)}
+    return found | {"swell": swell}
+
+
+def cases(
     *,
     seeds: int = 20,
     hidden: Sequence[str] = (NOTHING, "pitch_quadratic_damping=-40"),
     arms: Sequence[str] = ARMS,
     rules: Sequence[str] = RULES,
     swell: float = 0.0,
-    show: bool = False,
-) -> None:
-    """Run what is missing and print the table.
+) -> dict[tuple[object, ...], partial[Row]]:
+    """Trials of every kind.
 
     Parameters
     ----------
@@ -201,21 +220,9 @@ def main(
     swell : float
         period of a swell of the same strength in place of first-order forces, s; 0 for none
     """
-    wanted = [
-        (one, arm, rule, seed, swell)
-        for one in hidden for rule in rules for arm in arms for seed in range(seeds)
-    ]  # fmt: skip
-    if not show:
-        trial = Trial(swell)
-        for one in wanted:
-            if one in STORE.done():
-                continue
-            try:
-                STORE.add({**trial.run(*one[:-1]), "swell": swell})
-            except OedSysidError as error:
-                print(f"{one}: {error}", flush=True)
-    print(table(STORE.rows()))
+    keys = [(*key, swell) for key in product(hidden, arms, rules, range(seeds))]
+    return {key: partial(case, *key) for key in keys}
 
 
 if __name__ == "__main__":
-    command(main)
+    study(cases, table, STORE)

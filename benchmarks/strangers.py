@@ -19,13 +19,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, orth
 
-from benchmarks.harness import RESULTS, Row, Store, command, grouped, run_cases, tabulate
+from benchmarks.harness import RESULTS, Row, Store, grouped, study, tabulate
 from benchmarks.other_vehicles.judge import DETECTABLE
 from benchmarks.other_vehicles.measures import accepted as named
 from benchmarks.rates import searched, share, summary
@@ -441,22 +440,22 @@ def _table(title: str, groups: Mapping[str, list[Row]]) -> str:
     return "\n".join(tabulate(groups, columns))
 
 
-def main(
-    *, seed: int = 20261124, cases: int = 300, jobs: int = 1, store: Path = STORE,
-    limit: float = 300.0, minutes: float = 1e9,
-) -> None:  # fmt: skip
-    """Run cases that are not in the store, and print the table of all of this seed.
+def cases(
+    *, seed: int = 20261124, cases: int = 300, limit: float = 300.0
+) -> dict[str, partial[Row]]:
+    """Cases of a date.
 
     Parameters
     ----------
     seed : int
         date of a release, as 20261124
     cases : int
-        cases
+        how many
+    limit : float
+        processor seconds for one improvement
     """
-    wanted = {f"{seed}/{number}": partial(judge, seed, number, limit) for number in range(cases)}
-    print(table(run_cases(Store(store), wanted, n_jobs=jobs, minutes=minutes, tell=summary)))
+    return {f"{seed}/{number}": partial(judge, seed, number, limit) for number in range(cases)}
 
 
 if __name__ == "__main__":
-    command(main)
+    study(cases, table, Store(STORE), tell=summary)

@@ -17,11 +17,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import RESULTS, Row, Store, command, grouped, run_cases, tabulate
+from benchmarks.harness import RESULTS, Row, Store, grouped, study, tabulate
 from benchmarks.missing_physics.cases import draws, simulate_draws
 from benchmarks.missing_physics.judge import datasets, nominal
 from oed_sysid import Dataset, Model, MultipleShooting, load_problem, replayed
@@ -122,14 +121,15 @@ COLUMNS: dict[str, Callable[..., object]] = {
 }
 
 
-def main(
-    kinds: Sequence[str] = KINDS,
-    *,
-    cases: int = 40,
-    first: int = 0,
-    store: Path = RESULTS / "whole_runs.jsonl",
-) -> None:
-    """Run what is not in the store yet, and print.
+def table(rows: Sequence[Row]) -> str:
+    """What was found by kind, as Markdown."""
+    return "\n".join(tabulate(grouped(rows, lambda row: row["key"][0]), COLUMNS))
+
+
+def cases(
+    kinds: Sequence[str] = KINDS, *, cases: int = 40, first: int = 0
+) -> dict[tuple[str, int], partial[Row]]:
+    """Cases of some kinds.
 
     Parameters
     ----------
@@ -140,15 +140,14 @@ def main(
     first : int
         number of the first
     """
-    wanted = {
+    numbers = range(first, first + cases)
+    return {
         (kind, number): partial(case, kind, number)
         for kind in kinds
-        for number in (range(len(MEASURED)) if kind == "measured" else range(first, first + cases))
+        for number in (range(len(MEASURED)) if kind == "measured" else numbers)
     }
-    kept = Store(store, key=lambda row: tuple(row["key"]))
-    rows = run_cases(kept, wanted, tell=lambda row: f"{row['key']} {row.get('said')}")
-    print("\n".join(tabulate(grouped(rows, lambda row: row["key"][0]), COLUMNS)))
 
 
 if __name__ == "__main__":
-    command(main)
+    kept = Store(RESULTS / "whole_runs.jsonl", key=lambda row: tuple(row["key"]))
+    study(cases, table, kept, tell=lambda row: f"{row['key']} {row.get('said')}")

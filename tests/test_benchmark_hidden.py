@@ -15,6 +15,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
+from benchmarks.harness import Store, run_cases
 from benchmarks.missing_physics.cases import CONDITIONS, Draw, case, draws
 from benchmarks.missing_physics.measures import as_markdown, measures
 from benchmarks.missing_physics.simulator import PRIORS, TEST, TRAIN, Case, Noise, simulate
@@ -251,11 +252,11 @@ def test_a_run_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(runner, "judge", judged)
     store = tmp_path / "out.jsonl"
-    quiet = {"store": store, "tell": lambda text: None}
-    runner.run(["motor"], cases=2, **quiet)
+    quiet = {"say": lambda text: None}
+    run_cases(Store(store), runner.cases(["motor"], cases=2), **quiet)
     lines = store.read_text().splitlines()
     store.write_text(lines[0] + "\n" + lines[1][:20])
-    found = runner.run(["motor"], cases=3, **quiet)
+    found = run_cases(Store(store), runner.cases(["motor"], cases=3), **quiet)
     assert len(asked) == 2 + 2
     assert len(found) == 3
     assert all(json.loads(line) for line in [lines[0]])

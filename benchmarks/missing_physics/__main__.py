@@ -1,6 +1,7 @@
 """Hidden effects: how often the improvement finds them (:mod:`benchmarks.missing_physics.run`)."""
 
-from benchmarks.harness import command
-from benchmarks.missing_physics.run import main
+from benchmarks.harness import study
+from benchmarks.missing_physics.run import STORE, calls, cases, table
+from benchmarks.rates import summary
 
-command(main)
+study(cases, table, STORE, calls=calls, tell=summary)

@@ -12,14 +12,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import RESULTS as FOLDER
-from benchmarks.harness import Row, Store, run_cases
+from benchmarks.harness import RESULTS, Row, Store, run_cases
 from benchmarks.missing_physics.cases import Draw, draws, simulate_draws
 from benchmarks.missing_physics.judge import judge
 from benchmarks.missing_physics.measures import as_markdown, measures
-from benchmarks.rates import summary, told
+from benchmarks.rates import summary
 
-RESULTS = FOLDER / "missing_physics.jsonl"
+STORE = Store(RESULTS / "missing_physics.jsonl")
 PLAN = (
     "single/white:320 none/white:200 pair/white:60 unknown/white:40 "
     "none/colour5:20 none/colour9:20 none/force_mid:20 none/force_high:20 none/gust_mid:20 "
@@ -28,53 +27,41 @@ PLAN = (
 BATCH = 40
 
 
-def run(
-    plan: str = PLAN,
-    *,
-    results: Path = RESULTS,
-    n_jobs: int = 2,
-    minutes: float = 1e9,
-    tell: Callable[[str], None] = print,
-) -> dict[str, Any]:
-    """Run all cases of a plan that are not on disk yet, and measure all that are.
-
-    See :func:`main`; ``tell`` takes progress. What is returned is that of
-    :func:`benchmarks.missing_physics.measures.measures`.
-    """
-    wanted = {draw.key: draw for draw in draws(plan)}
-
-    def jobs(left: Sequence[Draw]) -> Iterator[Callable[[], Row]]:
-        """Simulated a batch at a time."""
-        for first in range(0, len(left), BATCH):
-            batch = left[first : first + BATCH]
-            for draw, (case, records) in zip(batch, simulate_draws(batch), strict=True):
-                yield partial(judge, draw, case, records)
-
-    how = {"n_jobs": n_jobs, "minutes": minutes, "tell": summary, "say": tell}
-    return measures(run_cases(Store(results), wanted, jobs, **how))
-
-
-def main(
-    plan: str = PLAN,
-    *,
-    jobs: int = 2,
-    results: Path = RESULTS,
-    minutes: float = 1e9,
-    measure: bool = False,
-    table: Path | None = None,
-) -> None:
-    """Run what is missing and print the measures.
+def cases(plan: str = PLAN) -> dict[str, Draw]:
+    """Cases of a plan by name.
 
     Parameters
     ----------
     plan : str
         kinds of cases and how many, as "single/white:40 none/white:20"
-    results : Path
-        store of finished cases
     """
-    found = (
-        measures(Store(results).rows())
-        if measure
-        else run(plan, results=results, n_jobs=jobs, minutes=minutes)
-    )
-    told(as_markdown(found), table)
+    return {draw.key: draw for draw in draws(plan)}
+
+
+def calls(left: Sequence[Draw]) -> Iterator[Callable[[], Row]]:
+    """What judges each case; they are simulated a batch at a time."""
+    for first in range(0, len(left), BATCH):
+        batch = left[first : first + BATCH]
+        for draw, (case, records) in zip(batch, simulate_draws(batch), strict=True):
+            yield partial(judge, draw, case, records)
+
+
+def run(
+    plan: str = PLAN,
+    *,
+    results: Path = STORE.path,
+    n_jobs: int = 2,
+    tell: Callable[[str], None] = print,
+) -> dict[str, Any]:
+    """Run all cases of a plan that are not on disk yet, and measure all that are.
+
+    ``tell`` takes progress. What is returned is that of
+    :func:`benchmarks.missing_physics.measures.measures`.
+    """
+    rows = run_cases(Store(results), cases(plan), calls, n_jobs=n_jobs, tell=summary, say=tell)
+    return measures(rows)
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Measures of finished cases as Markdown."""
+    return as_markdown(measures(rows))

@@ -1,6 +1,7 @@
 """Vehicles that nobody tuned for (:mod:`benchmarks.other_vehicles.run`)."""
 
-from benchmarks.harness import command
-from benchmarks.other_vehicles.run import main
+from benchmarks.harness import study
+from benchmarks.other_vehicles.run import STORE, cases, table
+from benchmarks.rates import summary
 
-command(main)
+study(cases, table, STORE, tell=summary)

@@ -73,6 +73,8 @@ def judge(draw: Draw, *, limit: float = 600.0, prepared: bool = True) -> dict[st
         **_detectability(case),
     }
     offered = nominal(draw.vehicle).effects(case.lacking) if prepared else None
+    if not prepared:
+        entry |= {"key": f"{draw.key}/unprepared", "prepared": False}
     found, told = searched(model, train, validation, offered, limit=limit)
     entry |= told
     try:
