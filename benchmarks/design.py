@@ -11,22 +11,20 @@ sea. Priors are ignored, start states are unknown.
 from __future__ import annotations
 
 import time
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import radians
+from pathlib import Path
 
 import numpy as np
 
 from benchmarks.harness import command, known
+from benchmarks.other_vehicles.models import modelled
 from oed_sysid import (
     Experiment,
-    Force,
-    Input,
     Limits,
     Model,
-    Output,
-    Parameter,
-    State,
     load_problem,
 )
 from oed_sysid.design import (
@@ -135,50 +133,9 @@ def nps() -> System:
 
 
 def mariner() -> System:
-    """Mariner-class ship: Abkowitz form, fourteen coefficients free.
-
-    Prime coefficients in 1e-5, as commonly tabulated after Chislett and
-    Strom-Tejsen (1965), planar motion mechanism tests; rounded, port-starboard
-    symmetric, not compared with the original report.
-    """
-    known = {"m": 798.0, "I_z": 39.2, "X_udot": -42.0, "Y_vdot": -748.0, "Y_rdot": -9.354,
-             "N_vdot": 4.646, "N_rdot": -43.8, "m_x_G": -18.354}  # fmt: skip
-    fixed = {"X_uu": -110.0, "X_uuu": -215.0, "X_rr": 18.0, "Y_vvd": 1190.0, "Y_vdd": -4.0,
-             "Y_ddd": -90.0, "N_vvd": -489.0, "N_vdd": 13.0, "N_ddd": 45.0}  # fmt: skip
-    free = {"X_u": -184.0, "X_vv": -899.0, "X_dd": -95.0, "X_rv": 798.0,
-            "Y_v": -1160.0, "Y_r": -499.0, "Y_vvv": -8078.0, "Y_vvr": 15356.0, "Y_d": 278.0,
-            "N_v": -264.0, "N_r": -166.0, "N_vvv": 1636.0, "N_vvr": -5483.0,
-            "N_d": -139.0}  # fmt: skip
-    # Dimensionless velocities from the signals below; forces are multiplied by U^2/L.
-    terms = {
-        "X": "X_u*du + X_uu*du**2 + X_uuu*du**3 + X_vv*vp**2 + X_rr*rp**2 + X_rv*rp*vp"
-        " + X_dd*rudder**2",
-        "Y": "Y_v*vp + Y_r*rp + Y_vvv*vp**3 + Y_vvr*vp**2*rp + Y_d*rudder + Y_ddd*rudder**3"
-        " + Y_vvd*vp**2*rudder + Y_vdd*vp*rudder**2",
-        "N": "N_v*vp + N_r*rp + N_vvv*vp**3 + N_vvr*vp**2*rp + N_d*rudder + N_ddd*rudder**3"
-        " + N_vvd*vp**2*rudder + N_vdd*vp*rudder**2",
-    }
-    model = Model(
-        "Mariner-class ship",
-        states=(State("u", "m/s"), State("v", "m/s"), State("r", "rad/s", scale=0.01),
-                State("psi", "rad")),
-        inputs=(Input("rudder", "rad", interpolation="linear"),),
-        outputs=(Output("u", "m/s", noise_std=0.02), Output("v", "m/s", noise_std=0.02),
-                 Output("r", "rad/s", noise_std=1e-4), Output("psi", "rad", noise_std=2e-3)),
-        axes={"X": "u", "Y": "v", "N": "r"},
-        inertia={("X", "u"): "m - X_udot", ("Y", "v"): "m - Y_vdot",
-                 ("Y", "r"): "L*(m_x_G - Y_rdot)",
-                 ("N", "v"): "m_x_G - N_vdot", ("N", "r"): "L*(I_z - N_rdot)"},
-        kinematics={"psi": "r"},
-        signals={"U": "sqrt(u**2 + v**2)", "du": "(u - U_0)/U", "vp": "v/U", "rp": "r*L/U"},
-        effects=(Force("hull_and_rudder", {a: f"U**2/L*({t})" for a, t in terms.items()},
-                       tuple(Parameter(n, v) for n, v in free.items())),),
-        parameters=(
-            *(Parameter(n, v, fixed=True) for n, v in (known | fixed).items()),
-            Parameter("L", 160.93, "m", fixed=True), Parameter("U_0", 7.7175, "m/s", fixed=True),
-        ),
-        step=0.5,
-    )  # fmt: skip
+    """Mariner-class ship: Abkowitz form, fourteen coefficients free."""
+    path = Path(__file__).with_name("mariner.toml")
+    model = modelled(tomllib.loads(path.read_text(encoding="utf-8")))
     return System(
         model, "rudder", "psi", -1, radians(5), 600.0, 2.0, {"u": 7.7175}, {}, {},
         Limits({"rudder": (-radians(20), radians(20))}, {"rudder": radians(5)},

@@ -16,11 +16,13 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -48,6 +50,7 @@ from oed_sysid.experiments.simulation import simulate
 Signals = dict[str, np.ndarray]
 Shape = Callable[[Signals, np.ndarray], np.ndarray]
 SAMPLES, FINER = 900, 5
+DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 HIDDEN_EFFECTS = Path(os.environ.get("OED_SYSID_DATA", ".")) / "hidden_effects"
 
 # -- kinematics of the vehicles; their dynamics the check does not use ---------------------
@@ -204,7 +207,7 @@ def fault(make: Callable[..., None]) -> Callable[..., Callable[..., None]]:
 
 
 @fault
-def _add(s: Signals, t: np.ndarray, size: float, k: int, name: str, shape: Shape,
+def _add(s: Signals, t: np.ndarray, size: float, k: int, name: str, *, shape: Shape,
          only: int | None = None) -> None:  # fmt: skip
     if only in (None, k):
         s[name] = s[name] + size * shape(s, t)
@@ -249,7 +252,7 @@ def swap(s: Signals, t: np.ndarray, size: float, k: int, a: str, b: str) -> None
 
 
 @fault
-def earth(s: Signals, t: np.ndarray, size: float, k: int, a: str, b: str, angle: str,
+def earth(s: Signals, t: np.ndarray, size: float, k: int, a: str, b: str, angle: str, *,
           sign: float) -> None:  # fmt: skip
     """Velocities in earth axes."""
     c, d = np.cos(s[angle]), sign * np.sin(s[angle])
@@ -262,15 +265,9 @@ def _tilt(s: Signals, t: np.ndarray, size: float, k: int, a: str, b: str) -> Non
 
 
 @fault
-def _written(s: Signals, t: np.ndarray, size: float, k: int, name: str,
+def _written(s: Signals, t: np.ndarray, size: float, k: int, name: str, *,
              change: Callable[[np.ndarray, float], np.ndarray]) -> None:  # fmt: skip
     s[name] = change(s[name], size)
-
-
-def _at(start: float, stop: float = 2.0) -> Shape:
-    return lambda s, t: (
-        1.0 * ((t >= t[0] + start * (t[-1] - t[0])) & (t < t[0] + stop * (t[-1] - t[0])))
-    )
 
 
 def _hit(y: np.ndarray, size: float) -> np.ndarray:
@@ -307,64 +304,78 @@ def _clip(y: np.ndarray, size: float) -> np.ndarray:
     return np.clip(y, low, high)
 
 
+@fault
+def _struck(s: Signals, t: np.ndarray, size: float, k: int, name: str) -> None:
+    rng = np.random.default_rng(3)
+    hit = rng.random(t.size) < 0.01
+    s[name] = s[name] + np.where(hit, size * rng.standard_normal(t.size), 0.0)
+
+
+@fault
+def _continued(s: Signals, t: np.ndarray, size: float, k: int, name: str) -> None:
+    # What was measured before the record began is continued by a straight line.
+    early = s[name][0] + (s[name][10] - s[name][0]) * (t - t[0] - size)
+    noisy = early + 0.03 * np.random.default_rng(5).standard_normal(t.size)
+    s[name] = np.where(t - size < t[0], noisy, np.interp(t - size, t, s[name]))
+
+
+@fault
+def _copied(s: Signals, t: np.ndarray, size: float, k: int, a: str, b: str) -> None:
+    s[b] = s[a].copy()
+
+
+MAKERS: dict[str, Callable[..., Callable[..., None]]] = {
+    "add": _add, "times": times, "late": _late, "scattered": _scattered, "lag": _lag, "swap": swap,
+    "earth": earth, "tilt": _tilt, "written": _written, "struck": _struck,
+    "continued": _continued, "copied": _copied,
+}  # fmt: skip
+
+
+# What changes the values of a signal as they are written.
+CHANGES: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {
+    "hit": _hit, "lose": _lose, "freeze": _freeze, "hold": _hold, "join": _join, "clip": _clip,
+    "round": lambda y, size: np.round(y / size) * size, "kill": lambda y, size: 0.0 * y,
+}  # fmt: skip
+
+
+def shape_of(words: str, names: Mapping[str, Any]) -> Shape:
+    """What is added to a signal, of size one: all along, growing, from and until a share of it."""
+    kind, *numbers = words.split()
+    start, stop = [*map(float, numbers), 2.0][:2] if numbers else (0.0, 2.0)
+    shapes: dict[str, Shape] = {
+        "one": lambda s, t: np.ones_like(t),
+        "ramp": lambda s, t: (t - t[0]) / (t[-1] - t[0]),
+        "lever": lambda s, t: names["arm"] * s[names["rate"]],
+        "at": lambda s, t: (
+            1.0 * ((t >= t[0] + start * (t[-1] - t[0])) & (t < t[0] + stop * (t[-1] - t[0])))
+        ),
+    }
+    return shapes[kind]
+
+
+def spoil_of(row: Mapping[str, Any], names: Mapping[str, Any], noise: Mapping[str, float]) -> Spoil:
+    """A fault from its row of data, for a vehicle whose signals have these names."""
+
+    def called(words: Sequence[str]) -> list[str]:
+        every = [names.get(word, word) for word in words]
+        return [name for one in every for name in ([one] if isinstance(one, str) else one)]
+
+    signals = called(row["signals"])
+    sizes = row.get("sizes") or [noise[signals[0]] * share for share in row["noise"]]
+    maker, *words = row["make"]
+    options = words.pop() if words and isinstance(words[-1], dict) else {}
+    known = {"shape": lambda said: shape_of(said, names), "change": CHANGES.get,
+             "sign": names.get, "only": int, "clock": bool}  # fmt: skip
+    options = {option: known[option](said) for option, said in options.items()}
+    make = MAKERS[maker](*called(words), **options)
+    also = tuple(called(row.get("also", ())))
+    return Spoil(row["kind"], tuple(signals), tuple(sizes), make, row.get("where", "true"), also)
+
+
 def faults_of(craft: Craft) -> list[Spoil]:
     """All kinds of faults of one vehicle, with sizes."""
-    dive = craft is DIVER
-    n, v2 = craft.noise, ("w" if dive else "v")
-    rate, angle = ("q", "theta") if dive else ("r", "psi")
-    pos, place = (("z",), "z") if dive else (("x", "y"), "x")
-    one, arm = np.ones_like, 1.0 if dive else 8.0
-    ramp = lambda s, t: (t - t[0]) / (t[-1] - t[0])  # noqa: E731
-    some = lambda name, *k: tuple(n[name] * x for x in k)  # noqa: E731
-    moving = [
-        Spoil("sign", (rate,), (-1.0,), times(rate), also=(angle,)),
-        Spoil("sign", (angle,), (-1.0,), times(angle), also=(rate,)),
-        Spoil("sign", (place,), (-1.0,), times(place)),
-        Spoil("sign", (v2,), (-1.0,), times(v2)),
-        Spoil("unit", (rate,), (57.29578,), times(rate), also=(angle,)),
-        Spoil("unit", (angle,), (57.29578,), times(angle), also=(rate,)),
-        Spoil("unit", ("u",), (1.943844, 3.6), times("u")),
-        Spoil("unit", (place,), (3.28084,), times(place)),
-        Spoil("swap", ("u", v2), (1.0,), swap("u", v2)),
-        Spoil("frame", ("u", v2), (1.0,), earth("u", v2, angle, 1.0 if dive else -1.0)),
-        Spoil("bias", (rate,), some(rate, 0.5, 1.0, 3.0), _add(rate, lambda s, t: one(t))),
-        Spoil("bias", (v2,), some(v2, 1.0, 2.0, 4.0), _add(v2, lambda s, t: one(t))),
-        Spoil("bias", (rate,), some(rate, 1.0, 2.0, 4.0), _add(rate, lambda s, t: one(t), 1)),
-        Spoil("scale", ("u",), (1.03, 1.06, 1.2), times("u")),
-        Spoil("scale", (rate,), (1.03, 1.06, 1.2), times(rate), also=(angle,)),
-        Spoil("scale", ("u",), (1.04, 1.08, 1.2), times("u", only=2)),
-        Spoil("delay", pos, (2.0, 5.0, 15.0), _late(*pos)),
-        Spoil("delay", (angle,), (1.0, 3.0, 10.0), _late(angle), also=(rate,)),
-        Spoil("delay", (rate,), (2.0, 4.0, 8.0), _lag(rate), also=(angle,)),
-        Spoil("clock", pos, (0.003, 0.01, 0.03), _late(*pos, clock=True)),
-        Spoil("clock", (angle,), (0.003, 0.01, 0.03), _late(angle, clock=True), also=(rate,)),
-        Spoil("jitter", (*n,), (0.1, 0.3, 1.0), _scattered(*n)),
-        Spoil("jitter", (angle, *pos), (0.1, 0.3, 1.0), _scattered(angle, *pos)),
-        Spoil("lever", (v2,), (0.3, 0.6, 1.5), _add(v2, lambda s, t: arm * s[rate])),
-        Spoil("misalignment", ("u", v2), (0.02, 0.05, 0.1), _tilt("u", v2)),
-        Spoil("drift", (rate,), some(rate, 1.0, 3.0, 8.0), _add(rate, ramp)),
-        Spoil("drift", (v2,), some(v2, 2.0, 4.0, 10.0), _add(v2, ramp)),
-        Spoil("drift", (angle,), some(angle, 3.0, 6.0, 15.0), _add(angle, ramp, 0)),
-        Spoil("step", (angle,), some(angle, 2.0, 5.0, 20.0), _add(angle, _at(0.4), 1)),
-        Spoil("step", (rate,), some(rate, 1.0, 3.0, 10.0), _add(rate, _at(0.6), 2)),
-        Spoil("step", ("u",), some("u", 2.0, 5.0, 15.0), _add("u", _at(0.5), 0)),
-        Spoil("step", (place,), some(place, 4.0, 8.0, 30.0), _add(place, _at(0.3), 1)),
-        Spoil("burst", (place,), some(place, 4.0, 8.0, 30.0), _add(place, _at(0.3, 0.309), 1)),
-        Spoil("burst", (rate,), some(rate, 5.0, 10.0, 40.0), _add(rate, _at(0.7, 0.709), 1)),
-    ]  # fmt: skip
-    logged = [
-        Spoil("spikes", (angle,), some(angle, 10.0, 20.0, 60.0), _written(angle, _hit), "log"),
-        Spoil("dropouts", ("u",), (1.0, 3.0, 10.0), _written("u", _lose), "log"),
-        Spoil("frozen", ("u",), (12.0, 40.0, 150.0), _written("u", _freeze), "log"),
-        Spoil("saturated", (rate,), (0.02, 0.05, 0.15), _written(rate, _clip), "log"),
-        Spoil("held", (place,), (3.0, 5.0, 10.0), _written(place, _hold), "log"),
-        Spoil("interpolated", (place,), (3.0, 5.0, 10.0), _written(place, _join), "log"),
-        Spoil("quantised", (angle,), some(angle, 2.0, 5.0, 10.0),
-              _written(angle, lambda y, d: np.round(y / d) * d), "log"),
-        Spoil("dead", (v2,), (0.0,), _written(v2, lambda y, d: 0.0 * y), "log"),
-        Spoil("copied", ("u", v2), (1.0,), lambda s, t, d, k: s.update({v2: s["u"].copy()}), "log"),
-    ]  # fmt: skip
-    return [*moving, *logged]
+    names = {**DATA["names"][craft.name], "every": list(craft.noise)}
+    return [spoil_of(row, names, craft.noise) for row in DATA["faults"]]
 
 
 _COLOURS = {"white": 0.0, "AR 0.5": 0.5, "AR 0.9": 0.9, "Student 5": 0.0, "two rates": 0.0}
@@ -533,38 +544,8 @@ def clean(seeds: range, only: str = "", crafts: Sequence[Craft] = ()) -> list[Ro
     return rows
 
 
-@fault
-def _struck(s: Signals, t: np.ndarray, size: float, k: int, name: str) -> None:
-    rng = np.random.default_rng(3)
-    hit = rng.random(t.size) < 0.01
-    s[name] = s[name] + np.where(hit, size * rng.standard_normal(t.size), 0.0)
-
-
-@fault
-def _continued(s: Signals, t: np.ndarray, size: float, k: int, name: str) -> None:
-    # What was measured before the record began is continued by a straight line.
-    early = s[name][0] + (s[name][10] - s[name][0]) * (t - t[0] - size)
-    noisy = early + 0.03 * np.random.default_rng(5).standard_normal(t.size)
-    s[name] = np.where(t - size < t[0], noisy, np.interp(t - size, t, s[name]))
-
-
-DEGREES = 180.0 / np.pi
 COPIES = {
-    "theta_sign": Spoil("sign", ("theta",), (-1.0,), times("theta")),
-    "q_deg": Spoil("unit", ("q",), (DEGREES,), times("q")),
-    "q_sign": Spoil("sign", ("q",), (-1.0,), times("q")),
-    "z_up": Spoil("sign", ("z",), (-1.0,), times("z")),
-    "z_feet": Spoil("unit", ("z",), (1.0 / 0.3048,), times("z")),
-    "u_w_swap": Spoil("swap", ("u", "w"), (1.0,), swap("u", "w")),
-    "earth": Spoil("frame", ("u", "w"), (1.0,), earth("u", "w", "theta", 1.0)),
-    "spikes": Spoil("spikes", ("theta",), (0.3,), _struck("theta")),
-    "w_dead": Spoil("dead", ("w",), (0.0,), times("w")),
-    "fin_deg": Spoil("unit", ("fin_command",), (DEGREES,), times("fin_command")),
-    "fin_sign": Spoil("sign", ("fin_command",), (-1.0,), times("fin_command")),
-    "q_bias": Spoil("bias", ("q",), (0.01,), _add("q", lambda s, t: np.ones_like(t))),
-    "u_scale": Spoil("scale", ("u",), (1.05,), times("u")),
-    "z_late": Spoil("delay", ("z",), (1.0,), _continued("z")),
-    "w_lever": Spoil("lever", ("w",), (0.5,), _add("w", lambda s, t: s["q"])),
+    name: spoil_of(row, DATA["names"]["diving plane"], {}) for name, row in DATA["copies"].items()
 }
 
 

@@ -76,7 +76,7 @@ def written(row: Mapping[str, Any]) -> Effect:
     """An effect whose terms are written out."""
     parameters = tuple(made(*words) for words in row.get("parameters", ()))
     effect: Effect = MAKERS[row["kind"]](
-        row["name"], row["terms"], parameters, description=row["description"]
+        row["name"], row["terms"], parameters, description=row.get("description", "")
     )
     return effect
 
@@ -127,19 +127,24 @@ class Nominal:
         return dict(zip(self.effect(name).amplitude_names, sizes.values(), strict=False))
 
 
+def modelled(data: Mapping[str, Any]) -> Model:
+    """A model from its rows: ``model``, and ``parts``, the effects that it has."""
+    said = dict(data["model"])
+    lists = {
+        name: tuple(made(kind, *row) for row in said.pop(name)) for name, kind in LISTED.items()
+    }
+    lists["parameters"] = tuple(made(*row) for row in said.pop("parameters"))
+    inertia = {tuple(pair.split()): term for pair, term in said.pop("inertia", {}).items()}
+    effects = tuple(written(row) for row in data["parts"])
+    return Model(**said, **lists, inertia=inertia, effects=effects)
+
+
 @cache
 def nominal(vehicle: str) -> Nominal:
     """The nominal model and candidates of a vehicle."""
     data = tomllib.loads((FOLDER / f"{vehicle}.toml").read_text(encoding="utf-8"))
-    said, parts = data["model"], {row["name"]: written(row) for row in data["parts"]}
     own = {row["name"]: written(row) for row in data.get("own", ())}
-    lists = {
-        name: tuple(made(kind, *row) for row in said.pop(name)) for name, kind in LISTED.items()
-    }
-    inertia = {tuple(pair.split()): term for pair, term in said.pop("inertia", {}).items()}
-    lacking = said.pop("may_lack")
-    parameters = tuple(made(*row) for row in said.pop("parameters"))
-    effects = tuple(parts.values())
-    whole = Model(**said, **lists, inertia=inertia, parameters=parameters, effects=effects)
+    whole = modelled(data)
     candidates = tuple(own[row[0]] if row[0] in own else made(*row) for row in data["candidates"])
-    return Nominal(whole, candidates, parts[lacking])
+    (part,) = (effect for effect in whole.effects if effect.name == data["may_lack"])
+    return Nominal(whole, candidates, part)
