@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import ROOT, Row, command, table_of
+from benchmarks.harness import ROOT, Row, exam
 from oed_sysid.data import apart, formats
 
 sys.path.insert(0, str(ROOT / "tests"))
@@ -147,8 +147,16 @@ def outcome(path: Path, target: Path) -> tuple[str, float]:
     return words, seconds
 
 
-def counted(files: int, seed: int) -> list[Row]:
-    """Outcomes by format, and the longest time, s."""
+def counted(*, files: int = 800, seed: int = 1) -> list[Row]:
+    """Outcomes by format, and the longest time, s.
+
+    Parameters
+    ----------
+    files : int
+        how many are damaged
+    seed : int
+        of the damage
+    """
     warnings.simplefilter("ignore")
     rng, tally = random.Random(seed), Counter[tuple[str, str]]()
     slowest: dict[str, float] = {}
@@ -175,20 +183,5 @@ def counted(files: int, seed: int) -> list[Row]:
     return rows
 
 
-def main(*, files: int = 800, seed: int = 1) -> None:
-    """Run the exam and print one row per format.
-
-    Parameters
-    ----------
-    files : int
-        how many are damaged
-    seed : int
-        of the damage
-    """
-    rows = counted(files, seed)
-    print("\n".join(table_of(rows)))
-    sys.exit(any(row["uncaught"] or row["slowest, s"] > LIMIT for row in rows))
-
-
 if __name__ == "__main__":
-    command(main)
+    exam(counted, lambda row: row["uncaught"] or row["slowest, s"] > LIMIT)

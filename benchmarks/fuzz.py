@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import ROOT, Row, command, known, places_of, table_of
+from benchmarks.harness import ROOT, Row, exam, known, places_of
 from oed_sysid.data.dataset import read_csv
 from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.problem import load_problem
@@ -274,8 +274,19 @@ def run(n_inputs: int, *, seed: int = 0, shares: Mapping[str, float] = SHARES) -
     return tally
 
 
-def counted(inputs: int, seed: int, shares: Mapping[str, float] = SHARES) -> list[Row]:
-    """What comes out of each reader; kinds of what was uncaught are printed."""
+def counted(*, inputs: int = 20_000, seed: int = 0, only: str = "") -> list[Row]:
+    """What comes out of each reader; kinds of what was uncaught are printed.
+
+    Parameters
+    ----------
+    inputs : int
+        all together
+    seed : int
+        of the inputs
+    only : str
+        one reader only
+    """
+    shares = {known(only, SHARES, "reader"): 1.0} if only else SHARES
     tally = run(inputs, seed=seed, shares=shares)
     rows = list[Row]()
     for name, count in tally.inputs.items():
@@ -289,23 +300,5 @@ def counted(inputs: int, seed: int, shares: Mapping[str, float] = SHARES) -> lis
     return rows
 
 
-def main(*, inputs: int = 20_000, seed: int = 0, only: str = "") -> None:
-    """Count what comes out; end with 1 if anything did that should not.
-
-    Parameters
-    ----------
-    inputs : int
-        all together
-    seed : int
-        of the inputs
-    only : str
-        one reader only
-    """
-    shares = {known(only, SHARES, "reader"): 1.0} if only else SHARES
-    rows = counted(inputs, seed, shares)
-    print("\n".join(table_of(rows)))
-    sys.exit(any(row["uncaught"] or row["slower than 2 s"] for row in rows))
-
-
 if __name__ == "__main__":
-    command(main)
+    exam(counted, lambda row: row["uncaught"] or row["slower than 2 s"])

@@ -322,6 +322,13 @@ def command(main: Callable[..., Any], arguments: Sequence[str] | None = None) ->
     return main(**given)
 
 
+def exam(counted: Callable[..., list[Row]], is_bad: Callable[[Row], object]) -> None:
+    """Count as the command line says, print the rows; end with 1 if one is bad."""
+    rows = command(counted)
+    print("\n".join(table_of(rows)))
+    sys.exit(any(map(is_bad, rows)))
+
+
 def study(
     cases: Callable[..., Mapping[Any, Any]],
     table: Callable[[list[Row]], str],

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import ROOT, Row, command, table_of
+from benchmarks.harness import ROOT, Row, exam
 
 RECORDS = ROOT / "problems" / "remus_diving_plane" / "data"
 COMMANDS: Mapping[str, tuple[str, ...]] = {
@@ -251,8 +251,16 @@ def _state(work: Work, folder: Path) -> Any:
     ]
 
 
-def counted(kills: int, seed: int) -> list[Row]:
-    """What killing each command does to it."""
+def counted(*, kills: int = 20, seed: int = 0) -> list[Row]:
+    """What killing each command does to it.
+
+    Parameters
+    ----------
+    kills : int
+        of each command
+    seed : int
+        of their times
+    """
     rows, rng = list[Row](), np.random.default_rng
     found = {name: killed(words, kills=kills, rng=rng(seed)) for name, words in COMMANDS.items()}
     found |= {name: struck(work, kills=kills, rng=rng(seed)) for name, work in WORKS.items()}
@@ -264,20 +272,5 @@ def counted(kills: int, seed: int) -> list[Row]:
     return rows
 
 
-def main(*, kills: int = 20, seed: int = 0) -> None:
-    """Print a table; end with 1 if anything was lost.
-
-    Parameters
-    ----------
-    kills : int
-        of each command
-    seed : int
-        of their times
-    """
-    rows = counted(kills, seed)
-    print("\n".join(table_of(rows)))
-    sys.exit(not all(row["ok"] for row in rows))
-
-
 if __name__ == "__main__":
-    command(main)
+    exam(counted, lambda row: not row["ok"])

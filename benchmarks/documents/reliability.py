@@ -13,17 +13,17 @@ SEED = 20261129
 INPUTS, FILES, KILLS = 500_000, 5_200, 20
 
 
-def counted(measure: Callable[..., Sequence[Row]], *given: int) -> Numbers:
+def counted(measure: Callable[[], Sequence[Row]]) -> Numbers:
     """Rows of one exam."""
-    return {"rows": measure(*given)}
+    return {"rows": measure()}
 
 
 PAGE = Page(
     "reliability",
     {
         "mistakes": partial(counted, bad_input.counted),
-        "random": partial(counted, fuzz.counted, INPUTS, SEED),
-        "damaged": partial(counted, damaged.counted, FILES, SEED),
-        "killed": partial(counted, killed.counted, KILLS, SEED),
+        "random": partial(counted, partial(fuzz.counted, inputs=INPUTS, seed=SEED)),
+        "damaged": partial(counted, partial(damaged.counted, files=FILES, seed=SEED)),
+        "killed": partial(counted, partial(killed.counted, kills=KILLS, seed=SEED)),
     },
 )

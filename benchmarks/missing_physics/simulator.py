@@ -388,20 +388,9 @@ class Truth:
         moment = u_r * (c["M_uw"] * w_r + c["M_uq"] * q + c["M_uuds"] * u_r * fin)
         total = {"X": x, "Z": heave + forces[1], "M": moment - c["zgW"] * sin + forces[2]}
         signals = SimpleNamespace(
-            u=u_r,
-            w=w_r,
-            w_ground=w,
-            q=q,
-            z=z,
-            sin=sin,
-            cos=cos,
-            d=fin,
-            thrust=thrust,
-            t=time,
-            memory=memory,
-            wave_frequency=self.wave_frequency,
-            wave_phase=self.wave_phase,
-        )
+            u=u_r, w=w_r, w_ground=w, q=q, z=z, sin=sin, cos=cos, d=fin, thrust=thrust, t=time,
+            memory=memory, wave_frequency=self.wave_frequency, wave_phase=self.wave_phase,
+        )  # fmt: skip
         for name, size in self.size.items():
             for axis, force in FORCES.get(name, {}).items():
                 total[axis] = total[axis] + size * force(signals)

@@ -8,29 +8,6 @@ squares weighted with the noise, from derivatives that are too small. Commands a
 samples, one Runge-Kutta step of fourth order per sample.
 
 Each is written as its authors' pages teach; what was chosen beyond them stands beside it.
-
-casadi_expanded, casadi_generated
-    Multiple shooting with IPOPT (CasADi's ``docs/examples/python/sysid.py``): one node a sample,
-    mapped integrator expanded into scalar operations, Gauss-Newton Hessian, exact jacobian;
-    interpreted, and with all functions as generated C.
-do_mpc_window
-    Moving-horizon estimation (do-mpc, *Getting started: MHE*), one window over the whole record.
-scipy_numba
-    SciPy's trust-region least squares with finite differences over a numba-compiled simulator
-    that allocates nothing but the path.
-optimistix_scan
-    Optimistix's Levenberg-Marquardt (its *least squares* page) over ``jax.lax.scan``, forward mode.
-pypesto_amici
-    pyPESTO over AMICI (pyPESTO's *AMICI in pyPESTO* example): adaptive integrator, forward
-    sensitivities, Fides with the Fisher information.
-parmest_collocation
-    Pyomo parmest (its *quick guide*): the discretised model as algebraic equations, trapezoidal
-    rule, by IPOPT.
-pints_cma
-    PINTS (its *optimisation first example*): CMA-ES on the sum of squares over the numba simulator,
-    default stopping rules.
-pybop_lbfgs
-    PyBOP with a simulator of one's own and its ``SciPyMinimize``.
 """
 
 from __future__ import annotations
@@ -104,7 +81,11 @@ def casadi_generated() -> tuple[Solver, float, int]:
 
 
 def casadi(options: dict) -> tuple[Solver, float, int]:
-    """What solves, how long it took to build, s, and how often to time it."""
+    """Multiple shooting with IPOPT (CasADi's ``docs/examples/python/sysid.py``), a node a sample.
+
+    Mapped integrator expanded into scalar operations, Gauss-Newton Hessian, exact jacobian. What
+    solves is returned, how long it took to build, s, and how often to time it.
+    """
     import casadi as ca
 
     times, inputs, outputs, start = load()
@@ -145,7 +126,7 @@ def casadi(options: dict) -> tuple[Solver, float, int]:
 
 
 def do_mpc_window() -> tuple[Solver, float, int]:
-    """One window of moving-horizon estimation over the whole record, nothing known before it."""
+    """One window over the record (do-mpc, *Getting started: MHE*), nothing known before it."""
     import casadi as ca
     import do_mpc
 
@@ -230,7 +211,7 @@ def compiled() -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
 
 
 def scipy_numba() -> tuple[Solver, float, int]:
-    """Trust-region reflective method, unknowns scaled by the jacobian."""
+    """SciPy's trust-region reflective method, finite differences, scaled by the jacobian."""
     from scipy.optimize import least_squares
 
     _, inputs, outputs, start = load()
@@ -246,7 +227,7 @@ def scipy_numba() -> tuple[Solver, float, int]:
 
 
 def parmest_collocation() -> tuple[Solver, float, int]:
-    """The weighted sum of squares of parmest."""
+    """Pyomo parmest (its *quick guide*): algebraic equations by the trapezoidal rule, IPOPT."""
     import pyomo.contrib.parmest.parmest as parmest
     import pyomo.environ as pyo
     from pyomo.contrib.parmest.experiment import Experiment
@@ -292,7 +273,7 @@ def parmest_collocation() -> tuple[Solver, float, int]:
 
 
 def pints_cma() -> tuple[Solver, float, int]:
-    """Half the weighted sum of squares, by shares of the start values."""
+    """PINTS (its *optimisation first example*): CMA-ES, default stopping rules."""
     import pints
 
     _, inputs, outputs, start = load()
@@ -324,7 +305,7 @@ def pints_cma() -> tuple[Solver, float, int]:
 
 
 def pypesto_amici() -> tuple[Solver, float, int]:
-    """AMICI's forward sensitivities, Fisher information as Hessian, the optimizer Fides."""
+    """PyPESTO (its *AMICI in pyPESTO* example): sensitivities, Fides, Fisher information."""
     import amici.sim.sundials as sundials
     import pypesto
     import pypesto.optimize
@@ -378,7 +359,7 @@ def pypesto_amici() -> tuple[Solver, float, int]:
 
 
 def optimistix_scan() -> tuple[Solver, float, int]:
-    """Levenberg and Marquardt's method with the jacobian of a compiled scan."""
+    """Optimistix's Levenberg-Marquardt (its *least squares* page) over a scan, forward mode."""
     import jax
     import jax.numpy as jnp
     import optimistix
@@ -421,7 +402,7 @@ def optimistix_scan() -> tuple[Solver, float, int]:
 
 
 def pybop_lbfgs() -> tuple[Solver, float, int]:
-    """Sum of squares of a simulator of one's own, L-BFGS-B by SciPy with finite differences."""
+    """PyBOP with a simulator of one's own and its ``SciPyMinimize``: L-BFGS-B, differences."""
     import pybop
 
     _, inputs, outputs, start = load()

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import markdown
-from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES, Scenario
+from benchmarks.random_forces.scenarios import VEHICLES, Scenario
 from benchmarks.random_forces.simulator import Set
 from benchmarks.random_forces.trial import Outcome
 
@@ -225,17 +225,15 @@ def _sea(scenario: Scenario, outcomes: Sequence[Outcome]) -> dict[str, Any]:
 
 
 def table(results: Sequence[Mapping[str, Any]]) -> str:
-    """Markdown: one row a scenario, then seas and levels of forces, then errors by parameter."""
+    """Markdown: one row a scenario, then levels of forces, then what else is told of each."""
     head = (
         "scenario", "sets", "coverage, %", "z", "error / reference", "flagged, %",
         "prediction, %", "from first, %", "reference: coverage, z", "CPU, s", "targets missed",
     )  # fmt: skip
     parts = (
         markdown(head, map(_cells, results)),
-        markdown(SEA, map(_sea_cells, results)),
         _force_table(results),
-        _parameter_table(results),
-        map(_concerns, results),
+        map(_further, results),
     )
     return "\n\n".join("\n".join(part) for part in parts)
 
@@ -264,24 +262,6 @@ def _range(numbers: Sequence[float]) -> str:
     return "{:.2f} ({:.2f} to {:.2f})".format(*numbers)
 
 
-SEA = (
-    "scenario", "sea claimed, %", "period / true (5 to 95 %)", "within 10 %, %",
-    "levels / true, medians", "within 25 %, %", "worst coverage, %", "largest bias",
-)  # fmt: skip
-
-
-def _sea_cells(r: Mapping[str, Any]) -> tuple[object, ...]:
-    """One scenario in the table of seas."""
-    sea, told = r["sea"], ["–"] * 4
-    if "period" in sea:
-        levels = ", ".join(f"{v:.2f}" for v in sea["level"])
-        within = (f"{sea[f'{what}_within']:.0f}" for what in ("period", "level"))
-        told = [_range(sea["period"]), next(within), levels, next(within)]
-    worst = min(part["coverage"] for part in r["by_parameter"].values())
-    bias = max(r["bias"].values(), key=abs)
-    return r["scenario"], f"{sea['claimed']:.0f}", *told, f"{worst:.0f}", f"{bias:+.2f}"
-
-
 def _force_table(results: Sequence[Mapping[str, Any]]) -> list[str]:
     rows = []
     for r in results:
@@ -306,34 +286,29 @@ def _force_table(results: Sequence[Mapping[str, Any]]) -> list[str]:
     return markdown(head, rows) if rows else ["The fits tell no levels of disturbance forces."]
 
 
-def _parameter_table(results: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Relative rms errors in per cent, those of the reference in brackets; one table a vehicle."""
-    lines: list[str] = []
-    for vehicle in VEHICLES.values():
-        own = [r for r in results if SCENARIOS[r["scenario"]].vehicle == vehicle.name]
-        rows = [(r["scenario"], *(_parameter(r, name) for name in vehicle.believed)) for r in own]
-        if rows:
-            words = "Relative rms errors in per cent (reference); coverage."
-            lines += [words, "", *markdown(("scenario", *vehicle.believed), rows), ""]
-    return lines
-
-
 def _parameter(r: Mapping[str, Any], name: str) -> str:
-    """Error and coverage of one parameter."""
+    """Error, coverage and bias of one parameter."""
     part, known = r["by_parameter"][name], r.get("reference")
     beside = f" ({known['relative_rms'][name]:.2g})" if known else ""
-    return f"{part['relative_rms']:.2g}{beside}; {part['coverage']:.0f}"
+    return f"{part['relative_rms']:.2g}{beside}; {part['coverage']:.0f}; {r['bias'][name]:+.2f}"
 
 
-def _concerns(r: Mapping[str, Any]) -> str:
-    """What the fits of one scenario warn of, in a sentence."""
+def _further(r: Mapping[str, Any]) -> str:
+    """What the fits of one scenario warn of, seas that they claim, errors, in sentences."""
     kinds = ", ".join(f"{kind} ({count})" for kind, count in r["concerns"].items()) or "nothing"
     states = ", ".join(f"{kind} ({count})" for kind, count in r["status"].items())
     text = f"- {r['scenario']}: misfit {r['misfit']:.3f} x noise; warned of {kinds}; "
     text += f"physics said to be missing in {r['said']:.0f} %; "
+    sea = r["sea"]
+    text += f"sea claimed in {sea['claimed']:.0f} %; "
+    if "period" in sea:
+        levels = ", ".join(f"{v:.2f}" for v in sea["level"])
+        text += f"period / true {_range(sea['period'])}, within 10 % in {sea['period_within']:.0f} "
+        text += f"%; levels / true {levels}, within 25 % in {sea['level_within']:.0f} %; "
     if np.isfinite(r["local"]):
         text += f"parameters of records to {100 * r['local']:.1f} % of their spread; "
     if r["by_output"]:
         bands = ", ".join(f"{name} {value:.0f}" for name, value in r["by_output"].items())
         text += f"prediction by output {bands} %; "
-    return f"{text}status {states}."
+    parts = ", ".join(f"{name} {_parameter(r, name)}" for name in r["by_parameter"])
+    return f"{text}status {states}. Rms errors, % (reference), coverage, bias: {parts}."

@@ -27,7 +27,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -293,13 +293,8 @@ def reference(scenario: Scenario, data: Set) -> Maximum:
     """What full maximum likelihood makes of one data set."""
     runs = data.runs
     if scenario.spikes:
-        runs = tuple(_without_spikes(run) for run in runs)
+        runs = tuple(replace(run, outputs=np.where(run.spike, np.nan, run.outputs)) for run in runs)
     return maximise(VEHICLES[scenario.vehicle], runs, structure(scenario), data.truth)
-
-
-def _without_spikes(run: Run) -> Run:
-    outputs = np.where(run.spike, np.nan, run.outputs)
-    return Run(run.name, run.times, run.inputs, outputs, run.clean, run.force, run.spike, run.local)
 
 
 PATH = Path(__file__).with_name("reference.json")
@@ -335,22 +330,18 @@ def load(path: Path = PATH) -> dict[str, dict[str, Any]]:
 
 def save(entries: dict[str, dict[str, Any]], path: Path = PATH) -> None:
     """Write all entries, one on a line, sorted."""
+
+    def order(name: str) -> tuple[str, int, int]:
+        scenario, seed, number = name.split("/")
+        return scenario, int(seed), int(number)
+
     lines = []
-    for name in sorted(entries, key=_order):
+    for name in sorted(entries, key=order):
         line = entries[name]
-        numbers = [
-            line["data"],
-            int(line["converged"]),
-            list(line["estimates"].values()),
-            list(line["std_errors"].values()),
-        ]
+        values = ([*line[part].values()] for part in ("estimates", "std_errors"))
+        numbers = [line["data"], int(line["converged"]), *values]
         lines.append(f"{json.dumps(name)}: {json.dumps(numbers, separators=(',', ':'))}")
     path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
-
-
-def _order(name: str) -> tuple[str, int, int]:
-    scenario, seed, number = name.split("/")
-    return scenario, int(seed), int(number)
 
 
 def entry(data: Set, found: Maximum) -> dict[str, Any]:

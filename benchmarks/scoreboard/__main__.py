@@ -5,14 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarks.harness import command, known, markdown
-from benchmarks.scoreboard import (
-    drive,
-    esso_osaka,
-    roll_decay,
-    silverbox,
-    tanks,
-)
+from benchmarks.harness import ROOT, command, known, markdown, write_page
+from benchmarks.scoreboard import drive, esso_osaka, roll_decay, silverbox, tanks
 from benchmarks.scoreboard.row import Row, attempted
 
 BOARDS: dict[str, Callable[[], list[Row]]] = {
@@ -22,33 +16,8 @@ BOARDS: dict[str, Callable[[], list[Row]]] = {
     "roll_decay": roll_decay.score,
     "drive": drive.score,
 }
-TARGET = Path(__file__).resolve().parent.parent.parent / "docs" / "scoreboard.md"
-HEAD = """# Scoreboard
-
-Public benchmarks with their official splits, beside the published figures. Each section is written
-by `python -m benchmarks.scoreboard NAME`, all of them without a name. What says *missing* is
-scored as soon as its file lies in the data folder (`OED_SYSID_DATA`); what is wrong with a file
-that cannot be scored stands in its row, and all other rows are as without it. No parameter was
-fitted to a record that is scored as a test, and official test records chose no structure either;
-where a validation part of our own confirmed the effects (`improve`), the note says so.
-
-```{include} gallery/error_beside_the_laboratorys.txt
-:relative-images:
-```
-"""
-
-
-def written(rows: dict[str, list[Row]], page: str) -> str:
-    """The page with the sections of these boards written anew, the others as they are."""
-    sections = dict.fromkeys(BOARDS, "")
-    for part in page.split("\n## ")[1:]:
-        name, _, body = part.partition("\n")
-        sections[name] = body.strip()
-    for name, found in rows.items():
-        head = ("benchmark", "ours", "published", "note")
-        sections[name] = "\n".join(markdown(head, (row.cells() for row in found)))
-    body = (f"\n## {name}\n\n{text}\n" for name, text in sections.items() if text)
-    return HEAD + "".join(body)
+TARGET = ROOT / "docs" / "scoreboard.md"
+HEAD = ("benchmark", "ours", "published", "note")
 
 
 def main(names: Sequence[str] = (), *, output: Path = TARGET) -> None:
@@ -65,8 +34,7 @@ def main(names: Sequence[str] = (), *, output: Path = TARGET) -> None:
         found = attempted(name, "-", f"the board {name}", BOARDS[name])
         for row in found:
             print(f"{name}: " + " | ".join(row.cells()), flush=True)
-        page = output.read_text(encoding="utf-8") if output.is_file() else ""
-        output.write_text(written({name: found}, page), encoding="utf-8")
+        write_page(output, "\n".join(markdown(HEAD, (row.cells() for row in found))), name)
 
 
 if __name__ == "__main__":
