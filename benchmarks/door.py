@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import tempfile
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -141,6 +141,80 @@ def _pick(rng: np.random.Generator, pairs: Sequence[tuple[str, float]]) -> str:
     return str(rng.choice([n for n, _ in pairs], p=[p for _, p in pairs]))
 
 
+@dataclass(frozen=True)
+class Logger:
+    """How somebody else logs: words, axes east-north-up or reversed, wrap, units in headers."""
+
+    language: str
+    enu: bool
+    flipped: set[str]
+    wrap: str
+    says: bool
+
+    def name(self, rng: np.random.Generator, role: str, least: int = 100, most: int = 999) -> str:
+        """What a column is called; a number where columns have no names."""
+        if self.language == "none":
+            return f"ch{rng.integers(least, most)}"
+        names = NAMES[self.language].get(role, [])
+        if role == "psi" and self.enu:  # who counts from east does not call it a compass
+            names = [one for one in names if any(w in one for w in YAW)]
+        return str(rng.choice(names)) if names else role
+
+    def logged(self, role: str, values: np.ndarray, unit: str) -> np.ndarray:
+        """Values as they are written, of a signal in SI."""
+        if self.enu and role == "psi":
+            values = 0.5 * np.pi - values
+        elif self.enu and role in ("v", "w", "q", "r", "theta"):
+            values = -values
+        factor = float(to_si(1.0, unit)[0])
+        shown = (-values if role in self.flipped else values) / factor
+        turn = 2 * np.pi / factor
+        if role != "psi" or self.wrap == "continuous":
+            return shown
+        return shown % turn if self.wrap == "0..360" else (shown + turn / 2) % turn - turn / 2
+
+
+def units_of(rng: np.random.Generator, signals: Iterable[str]) -> dict[str, str]:
+    """Units of a logger by signal."""
+    units = {n: _pick(rng, UNITS[SI[n]]) for n in signals}
+    units |= {name: units["x"] for name in ("y",) if "x" in units}
+    if rng.random() < 0.7:  # most loggers write speeds in one unit
+        units |= {name: units["u"] for name in ("v", "w") if {"u", name} <= units.keys()}
+    return units
+
+
+def noisy(rng: np.random.Generator, name: str, values: np.ndarray) -> np.ndarray:
+    """A measured signal; commands are as they are."""
+    if name in ("rudder", "rpm"):
+        return values
+    size = SPREAD[SI[name]] * float(rng.uniform(0.3, 1.5))
+    size = min(size, 0.05 * float(np.std(values)))
+    return values + size * rng.standard_normal(values.size)
+
+
+def written(
+    path: Path,
+    rng: np.random.Generator,
+    logger: Logger,
+    t: np.ndarray,
+    columns: Mapping[str, np.ndarray],
+) -> str:
+    """Write a log, its columns in any order; how its clock counts."""
+    how, clock = str(rng.choice(CLOCKS)), logger.name(rng, "t", 10, 99)
+    comma = logger.language in ("de", "fr", "es", "it") and rng.random() < 0.7
+    mark = ";" if comma else str(rng.choice([",", ";", "\t"]))
+    heads = rng.permutation(list(columns)).tolist()
+    place = int(rng.integers(0, 2)) * int(rng.integers(0, len(heads)))
+    table = [[f"{v:.7g}" for v in columns[n]] for n in heads]
+    table.insert(place, stamps(t, how, rng))
+    heads.insert(place, clock)
+    lines = [mark.join(row) for row in zip(*table, strict=True)]
+    if comma and how != "german":
+        lines = [line.replace(".", ",") for line in lines]
+    path.write_text("\n".join([mark.join(heads), *lines]), encoding="utf-8")
+    return how
+
+
 def foreign(folder: Path, rng: np.random.Generator, number: int) -> Foreign:
     """Simulate a vehicle and log it in somebody else's way."""
     vehicle = ship if rng.random() < 0.55 else diver
@@ -151,67 +225,26 @@ def foreign(folder: Path, rng: np.random.Generator, number: int) -> Foreign:
     signals = {name: values for name, values in truth.items() if name not in dropped}
     enu = rng.random() < 0.2
     flipped = {n for n in ("r", "z", "theta", "v", "rudder", "p") if rng.random() < 0.08}
-    units = {n: _pick(rng, UNITS[SI[n]]) for n in signals}
-    units |= {name: units["x"] for name in ("y",) if "x" in units}
-    if rng.random() < 0.7:  # most loggers write speeds in one unit
-        units |= {name: units["u"] for name in ("v", "w") if {"u", name} <= units.keys()}
+    units = units_of(rng, signals)
     wrap = str(rng.choice(["0..360", "-180..180", "continuous"], p=[0.5, 0.35, 0.15]))
-    says = rng.random() < 0.4  # a logger that writes units into headers
-    columns, held, real = {}, {}, {}
+    logger = Logger(language, enu, flipped, wrap, says=rng.random() < 0.4)
+    columns, told, said = {}, {}, {}
     for name, values in signals.items():
-        unit = units[name]
-        noisy = values
-        if name not in ("rudder", "rpm"):
-            size = SPREAD[SI[name]] * float(rng.uniform(0.3, 1.5))
-            size = min(size, 0.05 * float(np.std(values)))
-            noisy = values + size * rng.standard_normal(t.size)
-        shown = noisy
-        if enu:
-            flu = name in ("v", "w", "q", "r", "theta")
-            shown = 0.5 * np.pi - noisy if name == "psi" else -noisy if flu else noisy
-        shown = -shown if name in flipped else shown
-        factor = float(to_si(1.0, unit)[0])
-        logged = shown / factor
-        if name == "psi" and wrap != "continuous":
-            turn = 2 * np.pi / factor
-            logged = logged % turn if wrap == "0..360" else (logged + turn / 2) % turn - turn / 2
-        names = NAMES[language][name] if language != "none" else []
-        if name == "psi" and enu:  # who counts from east does not call it a compass
-            names = [one for one in names if any(w in one for w in YAW)]
-        called = f"ch{rng.integers(100, 999)}" if language == "none" else str(
-            rng.choice(names))  # fmt: skip
-        header = f"{called} [{unit}]" if says else called
-        columns[header], held[header], real[header] = logged, name, values
-    for extra in ("temp", "batt", "status"):
-        level = {"temp": 18.0, "batt": 24.6, "status": 3.0}[extra]
+        seen = noisy(rng, name, values)
+        header = logger.name(rng, name) + (f" [{units[name]}]" if logger.says else "")
+        columns[header] = logger.logged(name, seen, units[name])
+        told[header], said[header] = (name, values), units[name]
+    for extra, level in {"temp": 18.0, "batt": 24.6, "status": 3.0}.items():
         walk = level + 0.003 * np.cumsum(rng.standard_normal(t.size))
-        columns[f"ch{rng.integers(1000, 1999)}" if language == "none" else extra] = walk
-    how = str(rng.choice(CLOCKS))
-    clock = (
-        f"ch{rng.integers(10, 99)}" if language == "none" else str(rng.choice(NAMES[language]["t"]))
-    )
-    comma = language in ("de", "fr", "es", "it") and rng.random() < 0.7
-    mark = ";" if comma else str(rng.choice([",", ";", "\t"]))
-    order = rng.permutation(list(columns)).tolist()
-    place = int(rng.integers(0, 2)) * int(rng.integers(0, len(order)))
-    times = stamps(t, how, rng)
-    table = [times, *([f"{v:.7g}" for v in columns[n]] for n in order)]
-    heads = [clock, *order]
-    table.insert(place, table.pop(0))
-    heads.insert(place, heads.pop(0))
-    lines = [mark.join(heads)]
-    for row in zip(*table, strict=True):
-        line = mark.join(row)
-        lines.append(line.replace(".", ",") if comma and how != "german" else line)
+        columns[logger.name(rng, extra, 1000, 1999)] = walk
     path = folder / f"log{number}.csv"
-    path.write_text("\n".join(lines), encoding="utf-8")
-    told = {h: (held[h], real[h]) for h in held}
+    how = written(path, rng, logger, t, columns)
     words = (
         f"{vehicle.__name__} {language} {how} {wrap}{' ENU' if enu else ''} "
-        f"flipped={sorted(flipped & set(signals))} units={'said' if says else 'unsaid'} "
+        f"flipped={sorted(flipped & set(signals))} units={'said' if logger.says else 'unsaid'} "
         f"without {sorted(dropped)}"
     )
-    return Foreign(path, t, told, {h: units[held[h]] for h in held}, words)
+    return Foreign(path, t, told, said, words)
 
 
 # -- the examination ---------------------------------------------------------------------
@@ -221,16 +254,14 @@ def examine(log: Foreign) -> list[tuple[str, str, str]]:
     """Fact, verdict (right, asked, wrong) and words of everything that should be known of a log."""
     opened = open_log(log.path)
     found = recognise(opened)
-    rows = []
     factor = float(to_si(1.0, found.time_unit)[0]) / float(to_si(1.0, opened.clock_unit or "s")[0])
     span = (opened.span[1] - opened.span[0]) * factor
     good = abs(span / (log.t[-1] - log.t[0]) - 1.0) < 1e-3
-    rows.append(("time", "asked" if found.doubts else "right" if good else "wrong",
-                 f"{found.time_unit} {span:.4g} s"))  # fmt: skip
-    stem = log.path.stem
+    what = "asked" if found.doubts else "right" if good else "wrong"
+    rows = [("time", what, f"{found.time_unit} {span:.4g} s")]
     by_field = {guess.field: guess for guess in found.guesses}
     for header, (role, values) in log.truth.items():
-        guess = by_field.get(f"{stem}.{header}")
+        guess = by_field.get(f"{log.path.stem}.{header}")
         facts = ["unit", *(["sign"] if role not in ("rudder", "rpm") else [])]
         facts += ["wrap"] if role == "psi" else []
         if guess is None or guess.role != role:
@@ -239,24 +270,28 @@ def examine(log: Foreign) -> list[tuple[str, str, str]]:
             rows += [(fact, "wrong" if taken else "asked", f"{role}{what}") for fact in facts]
             continue
         read = guess.sign * to_si(opened[guess.field].values - guess.trim, guess.unit)[0]
-        if guess.wrap:
-            read = np.unwrap(read)
-        a, b = read - read.mean(), values - values.mean()
-        slope = float(a @ b / (b @ b))
-        verdicts = {"unit": abs(abs(slope) - 1.0) < 0.15, "sign": slope > 0.0}
-        if role == "psi":
-            verdicts["wrap"] = abs(np.std(a) / np.std(b) - 1.0) < 0.15 or not verdicts["unit"]
-            off = np.angle(np.exp(1j * (read - values)).mean())
-            verdicts["sign"] &= abs(off) < 0.2
-        if role in ("u",):  # hardly varies: its level tells more
-            level = float(read.mean() / values.mean())
-            verdicts = {"unit": abs(abs(level) - 1.0) < 0.1, "sign": level > 0.0}
+        verdicts = right_facts(role, np.unwrap(read) if guess.wrap else read, values)
+        words = (
+            f"{role} [{log.units[header]}] read as [{guess.unit}] sign {guess.sign}: {guess.why}"
+        )
         for fact in facts:
             asked = fact in guess.doubts or "field" in guess.doubts
-            what = "asked" if asked else "right" if verdicts[fact] else "wrong"
-            rows.append((fact, what, f"{role} [{log.units[header]}] read as [{guess.unit}] "
-                         f"sign {guess.sign}: {guess.why}"))  # fmt: skip
+            rows.append((fact, "asked" if asked else "right" if verdicts[fact] else "wrong", words))
     return rows
+
+
+def right_facts(role: str, read: np.ndarray, values: np.ndarray) -> dict[str, bool]:
+    """Whether unit and sign, and of a heading its wrap, are those of the truth."""
+    if role == "u":  # hardly varies: its level tells more
+        level = float(read.mean() / values.mean())
+        return {"unit": abs(abs(level) - 1.0) < 0.1, "sign": level > 0.0}
+    a, b = read - read.mean(), values - values.mean()
+    slope = float(a @ b / (b @ b))
+    right = {"unit": abs(abs(slope) - 1.0) < 0.15, "sign": slope > 0.0}
+    if role == "psi":
+        right["wrap"] = bool(abs(np.std(a) / np.std(b) - 1.0) < 0.15) or not right["unit"]
+        right["sign"] &= bool(abs(np.angle(np.exp(1j * (read - values)).mean())) < 0.2)
+    return right
 
 
 def examined(folder: Path, rng: np.random.Generator, number: int) -> list[tuple[str, str, str]]:

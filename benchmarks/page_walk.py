@@ -1,13 +1,12 @@
 """A stranger's walk by the page: from logs with foreign names and units to an exported FMU.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.page_walk --pictures FOLDER [--docs]
+    OMP_NUM_THREADS=1 python -m benchmarks.page_walk [--docs]
 
 Starts `oed-sysid app` with an empty cache, makes the folder of a new ship, gives three logs with
 German headers, decimal commas, degrees within one turn and a rate in degrees a minute, and follows
 the next step that the page advises to the exported model. Prints the clicks and the seconds of each
-step; the numbers grow with the load of the machine, which is stated. With ``--pictures`` every step
-is photographed in light and dark at 1280 and 1920 pixels; with ``--docs`` also those of the
-tutorial are drawn anew (`docs/walk_*.png`). The browser is that of the system.
+step; the numbers grow with the load of the machine, which is stated. With ``--docs`` the pictures
+of the tutorial are drawn anew (`docs/walk_*.png`). The browser is that of the system.
 """
 
 from __future__ import annotations
@@ -40,7 +39,6 @@ FILES = {
 }  # fmt: skip
 TIME = "Zeit [s]"
 COLUMNS = {"rudder": "Ruderlage [°]", "psi": "Kurs [°]", "r": "Drehrate [°/min]"}
-LOOKS = [(scheme, width) for scheme in ("light", "dark") for width in (1280, 1920)]
 # Pictures of the tutorial: the step, its file and its height, pixels.
 DOCS = {"data": 1500, "check": 900, "fit": 1000, "missing": 1060, "export": 620}
 
@@ -236,27 +234,13 @@ def walk(page: Any, logs: list[Path], folder: Path, target: Path) -> Iterator[tu
     yield "export", "", me.clicks
 
 
-def photograph(page: Any, scheme: str, width: int, file: Path, height: int = 0) -> None:
-    """Photograph the whole page, or so many pixels of it, in one look."""
-    page.emulate_media(color_scheme=scheme)
-    page.set_viewport_size({"width": width, "height": height or 1000})
-    page.wait_for_timeout(800)
-    if not height:
-        tall = page.locator("[data-testid=stMain]").evaluate("main => main.scrollHeight")
-        page.set_viewport_size({"width": width, "height": min(max(tall + 20, 800), 4000)})
-        page.wait_for_timeout(800)
-    page.screenshot(path=str(file))
-
-
-def main(*, pictures: Path | None = None, docs: bool = False) -> None:
+def main(*, docs: bool = False) -> None:
     """Walk, and print a table.
 
     Parameters
     ----------
-    pictures : Path
-        Folder for a picture of every step in every look.
     docs : bool
-        Whether the pictures of the tutorial are drawn anew.
+        whether the pictures of the tutorial are drawn anew
     """
     print(machine())
     with browsed() as (page, address), tempfile.TemporaryDirectory() as place:
@@ -265,15 +249,12 @@ def main(*, pictures: Path | None = None, docs: bool = False) -> None:
         for step, said, clicks in walk(page, logs, Path(place) / "mein_schiff", Path(place) / "x"):
             seconds = time.perf_counter() - began
             print(f"{step:<10}{clicks:>4} clicks{seconds:>8.1f} s  {said[:90]!r}", flush=True)
-            if pictures is not None:
-                pictures.mkdir(parents=True, exist_ok=True)
-                for scheme, width in LOOKS:
-                    file = pictures / f"{step}-{scheme}-{width}.png"
-                    photograph(page, scheme, width, file)
             if docs and step in DOCS:
-                photograph(page, "light", 1280, ROOT / "docs" / f"walk_{step}.png", DOCS[step])
-            page.emulate_media(color_scheme="light")
-            page.set_viewport_size(VIEW)
+                page.emulate_media(color_scheme="light")
+                page.set_viewport_size({**VIEW, "height": DOCS[step]})
+                page.wait_for_timeout(800)
+                page.screenshot(path=str(ROOT / "docs" / f"walk_{step}.png"))
+                page.set_viewport_size(VIEW)
             began = time.perf_counter()
 
 

@@ -191,13 +191,6 @@ def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outco
             by_output = shares if initial == "fit" else by_output
         except Exception:
             covered[initial] = 0.0
-    local = [
-        fitted[name] - true
-        for fitted, run in zip(fit.local_values, data.runs, strict=False)
-        for name, true in run.local.items()
-        if name in fitted
-    ]
-    spread = next(iter(VEHICLES[scenario.vehicle].local.values()), np.nan)
     return Outcome(
         number=data.number,
         truth=data.truth,
@@ -210,12 +203,24 @@ def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outco
         seconds=seconds,
         by_output=by_output,
         misfit=float(fit.normalised_rms),
-        local=float(np.sqrt(np.mean(np.square(local)))) / spread if local else np.nan,
+        local=local_error(fit, data, scenario.vehicle),
         sea=sea_of(fit, scenario.vehicle),
-        disturbed=bool(np.any(np.atleast_1d(fit.noise.force) > 0.0) or fit.noise.seas),
+        disturbed=fit.noise.has_forces,
         left_out=sum(count for count, _ in fit.excluded.values()),
         said=bool(fit.whole_runs.said),
     )
+
+
+def local_error(fit: Fit, data: Set, vehicle: str) -> float:
+    """Rms error of per-record parameters over their spread; NaN where there is none."""
+    errors = [
+        fitted[name] - true
+        for fitted, run in zip(fit.local_values, data.runs, strict=False)
+        for name, true in run.local.items()
+        if name in fitted
+    ]
+    spread = next(iter(VEHICLES[vehicle].local.values()), np.nan)
+    return float(np.sqrt(np.mean(np.square(errors)))) / spread if errors else np.nan
 
 
 def sea_of(fit: Fit, vehicle: str) -> dict[str, Any] | None:
