@@ -24,7 +24,8 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.harness import command, markdown
 from oed_sysid.data.formats import open_log
-from oed_sysid.data.recognise import recognise
+from oed_sysid.data.log import Log
+from oed_sysid.data.recognise import Recognised, recognise
 from oed_sysid.text.units import to_si
 
 # -- vehicles ----------------------------------------------------------------------------
@@ -254,11 +255,7 @@ def examine(log: Foreign) -> list[tuple[str, str, str]]:
     """Fact, verdict (right, asked, wrong) and words of everything that should be known of a log."""
     opened = open_log(log.path)
     found = recognise(opened)
-    factor = float(to_si(1.0, found.time_unit)[0]) / float(to_si(1.0, opened.clock_unit or "s")[0])
-    span = (opened.span[1] - opened.span[0]) * factor
-    good = abs(span / (log.t[-1] - log.t[0]) - 1.0) < 1e-3
-    what = "asked" if found.doubts else "right" if good else "wrong"
-    rows = [("time", what, f"{found.time_unit} {span:.4g} s")]
+    rows = [_clock(log, opened, found)]
     by_field = {guess.field: guess for guess in found.guesses}
     for header, (role, values) in log.truth.items():
         guess = by_field.get(f"{log.path.stem}.{header}")
@@ -270,14 +267,22 @@ def examine(log: Foreign) -> list[tuple[str, str, str]]:
             rows += [(fact, "wrong" if taken else "asked", f"{role}{what}") for fact in facts]
             continue
         read = guess.sign * to_si(opened[guess.field].values - guess.trim, guess.unit)[0]
-        verdicts = right_facts(role, np.unwrap(read) if guess.wrap else read, values)
-        words = (
-            f"{role} [{log.units[header]}] read as [{guess.unit}] sign {guess.sign}: {guess.why}"
-        )
+        right = right_facts(role, np.unwrap(read) if guess.wrap else read, values)
+        doubted = dict.fromkeys(facts if "field" in guess.doubts else guess.doubts, "asked")
+        how = f"read as [{guess.unit}] sign {guess.sign}: {guess.why}"
         for fact in facts:
-            asked = fact in guess.doubts or "field" in guess.doubts
-            rows.append((fact, "asked" if asked else "right" if verdicts[fact] else "wrong", words))
+            what = doubted.get(fact, "right" if right[fact] else "wrong")
+            rows.append((fact, what, f"{role} [{log.units[header]}] {how}"))
     return rows
+
+
+def _clock(log: Foreign, opened: Log, found: Recognised) -> tuple[str, str, str]:
+    """What is made of the times of a log."""
+    factor = float(to_si(1.0, found.time_unit)[0]) / float(to_si(1.0, opened.clock_unit or "s")[0])
+    span = (opened.span[1] - opened.span[0]) * factor
+    good = abs(span / (log.t[-1] - log.t[0]) - 1.0) < 1e-3
+    what = "asked" if found.doubts else "right" if good else "wrong"
+    return "time", what, f"{found.time_unit} {span:.4g} s"
 
 
 def right_facts(role: str, read: np.ndarray, values: np.ndarray) -> dict[str, bool]:

@@ -11,7 +11,7 @@ beginning in their stationary distribution. All sets of a scenario are integrate
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -109,10 +109,21 @@ class Crested:
         self.phase = np.stack([c.phase for c in columns], axis=-1)  # axis, component, record
         self.level = np.array(scenario.force)[:, None]
         self.axes = VEHICLES[scenario.vehicle].forces
+        self.place = np.zeros((2, len(columns)))  # north and east, m
 
-    def __call__(self, t: float, place: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Forces ``(axis, record)`` at a time, at places ``(2, record)`` north and east."""
-        along = place[0] * np.cos(self.toward) + place[1] * np.sin(self.toward)
+    def over(
+        self, step: int, h: float, state: np.ndarray, heading: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Forces ``(axis, record)`` at both ends of a step of ``h`` seconds; all move along it."""
+        begin = self.at(step * h, heading)
+        ahead = np.stack([np.cos(heading), np.sin(heading)])
+        aside = np.stack([-ahead[1], ahead[0]])
+        self.place = self.place + h * (state[0] * ahead + state[1] * aside)
+        return begin, self.at((step + 1) * h, heading + h * state[2])
+
+    def at(self, t: float, heading: np.ndarray) -> np.ndarray:
+        """Forces ``(axis, record)`` at a time, where records are."""
+        along = self.place[0] * np.cos(self.toward) + self.place[1] * np.sin(self.toward)
         angle = self.omega[:, None] * t - np.outer(self.omega**2 / GRAVITY, along)
         waves = np.einsum("i,aik->ak", self.size, np.cos(angle + self.phase))
         met = self.toward - heading
@@ -221,16 +232,11 @@ def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
     for i, column in enumerate(columns):
         force[: len(column.force), :, i] = column.force
         noise[: column.n, :, i] = column.noise
-    values = {name: np.array([c.truth[name] for c in columns]) for name in vehicle.believed}
-    values |= {name: np.array([c.local[name] for c in columns]) for name in vehicle.local}
+    names, drawn = (*vehicle.believed, *vehicle.local), [c.truth | c.local for c in columns]
+    values = {name: np.array([own[name] for own in drawn]) for name in names}
     thrust = np.array([c.manoeuvre.thrust for c in columns])
-    state = np.zeros((len(vehicle.states), width))
-    state[0] = vehicle.cruise
-    if vehicle.name == "remus":
-        state[0] = np.sqrt(thrust / -values["X_uu"])
-        state[4] = FIRST_DEPTH
+    state = _begin(vehicle, thrust, values)
     crests = Crested(scenario, columns) if scenario.direction is not None else None
-    place = np.zeros((2, width))
     clean = np.empty((n, *state.shape))
     inputs = np.empty((n, len(vehicle.inputs), width))
     command = _pilot(vehicle, [column.manoeuvre for column in columns])
@@ -245,12 +251,7 @@ def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
             break
         for sub in range(k * vehicle.substeps, (k + 1) * vehicle.substeps):
             if crests is not None:
-                heading = state[vehicle.steered]
-                force[sub] = crests(sub * h, place, heading)
-                ahead = np.stack([np.cos(heading), np.sin(heading)])
-                aside = np.stack([-ahead[1], ahead[0]])
-                place = place + h * (state[0] * ahead + state[1] * aside)
-                force[sub + 1] = crests((sub + 1) * h, place, heading + h * state[2])
+                force[sub], force[sub + 1] = crests.over(sub, h, state, state[vehicle.steered])
             pushes = force[sub], 0.5 * (force[sub] + force[sub + 1]), force[sub + 1]
             state = runge_kutta(rate, state, h, inputs[k], pushes)
     for i, column in enumerate(columns):
@@ -258,6 +259,16 @@ def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
     return [
         _run(scenario, c, inputs[: c.n, :, i], clean[: c.n, :, i]) for i, c in enumerate(columns)
     ]
+
+
+def _begin(vehicle: Vehicle, thrust: np.ndarray, values: Mapping[str, np.ndarray]) -> np.ndarray:
+    """States in which records begin, ``(n_states, n_records)``."""
+    state = np.zeros((len(vehicle.states), len(thrust)))
+    state[0] = vehicle.cruise
+    if vehicle.name == "remus":
+        state[0] = np.sqrt(thrust / -values["X_uu"])
+        state[4] = FIRST_DEPTH
+    return state
 
 
 def _pilot(
