@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks.harness import Store
 from benchmarks.random_forces import reference as cache
 from benchmarks.random_forces import trial
 from benchmarks.random_forces.measures import measure, missed, table
@@ -292,29 +293,25 @@ def test_what_a_fit_warns_of_is_read_from_its_concerns() -> None:
     assert trial.forces(fit, "remus")["Z"][0] == 0.0  # type: ignore[arg-type, index]
 
 
-def test_cached_reference_is_of_these_data(tmp_path: Path, medium: list[Set]) -> None:
+def test_kept_reference_is_of_these_data(tmp_path: Path, medium: list[Set]) -> None:
     """Written, read back, and not used once the data differ."""
     scenario, data = SCENARIOS["medium"], medium[0]
-    line = {
-        "data": data.fingerprint,
-        "estimates": {name: float(i) for i, name in enumerate(cache.names(scenario))},
-        "std_errors": dict.fromkeys(cache.names(scenario), 0.01),
-        "converged": True,
-    }
-    entries = {cache.key(scenario, 3, 0): line}
-    cache.save(entries, tmp_path / "reference.json")
-    read = cache.load(tmp_path / "reference.json")
-    assert read == entries
-    assert cache.known(read, scenario, 3, medium) == {0: line}
-    read[cache.key(scenario, 3, 0)]["data"] *= 1.001
-    assert cache.known(read, scenario, 3, medium) == {}
+    estimates = {name: float(i) for i, name in enumerate(cache.names(scenario))}
+    errors = dict.fromkeys(cache.names(scenario), 0.01)
+    store = Store(tmp_path / "reference.jsonl")
+    line = cache.entry(scenario, 3, data, cache.Maximum(estimates, errors, True))
+    store.add(line)
+    found = cache.known(scenario, 3, medium, store)
+    assert found == {0: {"converged": True, "estimates": estimates, "std_errors": errors}}
+    store.add({**line, "data": 1.001 * line["data"]})
+    assert cache.known(scenario, 3, medium, store) == {}
 
 
 def test_shipped_reference_fits_the_simulator() -> None:
     """The numbers beside the benchmark belong to the data that it simulates today."""
     scenario = SCENARIOS["medium"]
     sets = simulate(scenario, 0, range(2))
-    found = cache.known(cache.load(), scenario, 0, sets)
+    found = cache.known(scenario, 0, sets)
     assert sorted(found) == [0, 1]
     for data in sets:
         line = found[data.number]

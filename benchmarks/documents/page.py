@@ -10,6 +10,8 @@ longer carry it, no page is written. What another command writes between marks s
 from __future__ import annotations
 
 import datetime
+import functools
+import importlib.util
 import json
 import math
 import re
@@ -17,6 +19,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import jinja2
@@ -190,3 +193,21 @@ def _plain(value: object) -> object:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"cannot keep {type(value).__name__} {value!r} among the numbers of a page")
+
+
+@functools.cache
+def paper(name: str) -> ModuleType:
+    """What ``problems/NAME/paper.py`` computes; nothing is printed.
+
+    Examples
+    --------
+    >>> paper("torpedo").N_GENERATIONS
+    300
+    """
+    path = ROOT / "problems" / name / "paper.py"
+    spec = importlib.util.spec_from_file_location(f"paper_{name}", path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} cannot be read as a module.")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

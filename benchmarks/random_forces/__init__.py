@@ -13,8 +13,8 @@ noise is biased, not only inefficient (``medium_clock`` shows the difference).
 start at the believed values.
 
 **Reference** (:mod:`~benchmarks.random_forces.reference`). It starts at the truth; a noisy log of
-the fin it knows for one, rudder zeros it always has. Its results are kept in ``reference.json``,
-one line a data set with a fingerprint of the data.
+the fin it knows for one, rudder zeros it always has. Its results are kept in
+``benchmarks/results``, one line a data set with a fingerprint of the data.
 
 **Targets**, missed where beyond twice the Monte-Carlo error: coverage 93 to 97 % (90 to 97 % for
 large forces, the unstable vehicle and weak trials), or with wrong sensors a warning in 95 % of the
@@ -24,6 +24,6 @@ warnings. A data set counts once in every Monte-Carlo error: its parameters are 
 ::
 
     export OMP_NUM_THREADS=1
-    python -m benchmarks.random_forces --reference             # fills reference.json (gcc; minutes)
+    python -m benchmarks.random_forces --reference             # what is missing (gcc; minutes)
     python -m benchmarks.random_forces tiny small --sets 200 --store out/forces.jsonl
 """

@@ -22,7 +22,6 @@ are; spiked samples it leaves out. No code of the package is used.
 from __future__ import annotations
 
 import ctypes
-import json
 import shutil
 import subprocess
 import tempfile
@@ -30,11 +29,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES, Scenario, Vehicle
+from benchmarks.harness import RESULTS, Row, Store
+from benchmarks.random_forces.scenarios import VEHICLES, Scenario, Vehicle
 from benchmarks.random_forces.simulator import Run, Set
 
 LANES = 8
@@ -52,7 +51,7 @@ def library(vehicle: str) -> ctypes.CDLL:
     """The compiled filter of a vehicle."""
     compiler = next(filter(None, map(shutil.which, ("gcc", "clang"))), None)
     if compiler is None:
-        raise RuntimeError("The reference needs gcc or clang. Install one, or use reference.json.")
+        raise RuntimeError("The reference needs gcc or clang. Install one, or use what is kept.")
     folder = Path(tempfile.mkdtemp(prefix="random_forces_"))
     target = folder / f"{vehicle}.so"
     flags = ("-std=c11", "-O3", "-march=native", "-ffast-math", "-shared", "-fPIC")
@@ -297,8 +296,7 @@ def reference(scenario: Scenario, data: Set) -> Maximum:
     return maximise(VEHICLES[scenario.vehicle], runs, structure(scenario), data.truth)
 
 
-PATH = Path(__file__).with_name("reference.json")
-DIGITS = 7  # of an estimate
+STORE = Store(RESULTS / "reference.jsonl")
 
 
 def key(scenario: Scenario, seed: int, number: int) -> str:
@@ -311,76 +309,37 @@ def names(scenario: Scenario) -> list[str]:
     return [*VEHICLES[scenario.vehicle].believed, *structure(scenario).free]
 
 
-def load(path: Path = PATH) -> dict[str, dict[str, Any]]:
-    """All entries."""
-    if not path.exists():
-        return {}
-    entries = {}
-    for name, line in json.loads(path.read_text(encoding="utf-8")).items():
-        fingerprint, converged, estimates, std_errors = line
-        order = names(SCENARIOS[name.partition("/")[0]])
-        entries[name] = {
-            "data": fingerprint,
-            "estimates": dict(zip(order, estimates, strict=True)),
-            "std_errors": dict(zip(order, std_errors, strict=True)),
-            "converged": bool(converged),
-        }
-    return entries
-
-
-def save(entries: dict[str, dict[str, Any]], path: Path = PATH) -> None:
-    """Write all entries, one on a line, sorted."""
-
-    def order(name: str) -> tuple[str, int, int]:
-        scenario, seed, number = name.split("/")
-        return scenario, int(seed), int(number)
-
-    lines = []
-    for name in sorted(entries, key=order):
-        line = entries[name]
-        values = ([*line[part].values()] for part in ("estimates", "std_errors"))
-        numbers = [line["data"], int(line["converged"]), *values]
-        lines.append(f"{json.dumps(name)}: {json.dumps(numbers, separators=(',', ':'))}")
-    path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
-
-
-def entry(data: Set, found: Maximum) -> dict[str, Any]:
-    """One line of the file."""
+def entry(scenario: Scenario, seed: int, data: Set, found: Maximum) -> Row:
+    """One line of the store: estimates and standard errors in the order of :func:`names`."""
     return {
+        "key": key(scenario, seed, data.number),
         "data": data.fingerprint,
-        "estimates": {name: _short(value) for name, value in found.estimates.items()},
-        "std_errors": {name: _short(value, 3) for name, value in found.std_errors.items()},
         "converged": found.converged,
+        "estimates": [float(f"{found.estimates[name]:.7g}") for name in names(scenario)],
+        "std_errors": [float(f"{found.std_errors[name]:.3g}") for name in names(scenario)],
     }
 
 
-def _short(value: float, digits: int = DIGITS) -> float:
-    return float(f"{value:.{digits}g}")
-
-
 def known(
-    entries: dict[str, dict[str, Any]], scenario: Scenario, seed: int, sets: Sequence[Set]
-) -> dict[int, dict[str, Any]]:
-    """Entries of these data sets, by number; those of other data are left out."""
-    found = {}
+    scenario: Scenario, seed: int, sets: Sequence[Set], store: Store = STORE
+) -> dict[int, Row]:
+    """What is known of these data sets, by number; entries of other data are left out."""
+    done, order, found = store.done(), names(scenario), {}
     for data in sets:
-        line = entries.get(key(scenario, seed, data.number))
+        line = done.get(key(scenario, seed, data.number))
         if line is not None and abs(line["data"] / data.fingerprint - 1.0) < 1e-7:
-            found[data.number] = line
+            parts = ("estimates", "std_errors")
+            values = {part: dict(zip(order, line[part], strict=True)) for part in parts}
+            found[data.number] = {"converged": line["converged"], **values}
     return found
 
 
 def complete(
-    entries: dict[str, dict[str, Any]],
-    scenario: Scenario,
-    seed: int,
-    sets: Sequence[Set],
-    tell: Callable[[str], None],
-) -> int:
-    """Compute what is missing; return how many that were."""
-    have = known(entries, scenario, seed, sets)
+    scenario: Scenario, seed: int, sets: Sequence[Set], tell: Callable[[str], None]
+) -> None:
+    """Compute what is missing."""
+    have = known(scenario, seed, sets)
     missing = [data for data in sets if data.number not in have]
     for data in missing:
-        entries[key(scenario, seed, data.number)] = entry(data, reference(scenario, data))
+        STORE.add(entry(scenario, seed, data, reference(scenario, data)))
     tell(f"{scenario.name}: reference of {len(missing)} data sets, {len(have)} were there")
-    return len(missing)

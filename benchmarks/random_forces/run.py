@@ -48,7 +48,7 @@ def run(
     list of dict
         See :func:`~benchmarks.random_forces.measures.measure`.
     """
-    entries, results = cache.load(), list[dict[str, Any]]()
+    results = list[dict[str, Any]]()
     how = repr(sorted((settings or {}).items()))
     done = store.done() if store else {}
     for name in names:
@@ -62,7 +62,7 @@ def run(
             outcomes.append(outcome(scenario, one, settings or {}))
             if store:
                 store.add({"key": key, "fit": asdict(outcomes[-1])})
-        results.append(measure(scenario, outcomes, cache.known(entries, scenario, seed, data)))
+        results.append(measure(scenario, outcomes, cache.known(scenario, seed, data)))
         last = results[-1]
         tell(
             f"{name}: coverage {last['coverage']:.1f} %, z {last['z']:.2f}, flagged "
@@ -78,13 +78,12 @@ def tell(text: str) -> None:
 
 def compute_reference(names: Sequence[str], sets: int, seed: int) -> None:
     """Fill the cache, and say whether the reference is what it should be."""
-    entries, rows = cache.load(), list[Sequence[object]]()
+    rows = list[Sequence[object]]()
     for name in names:
         scenario = SCENARIOS[name]
         data = simulate(scenario, seed, range(sets))
-        if cache.complete(entries, scenario, seed, data, tell):
-            cache.save(entries)
-        rows.append(reference_row(scenario, data, cache.known(entries, scenario, seed, data)))
+        cache.complete(scenario, seed, data, tell)
+        rows.append(reference_row(scenario, data, cache.known(scenario, seed, data)))
     head = ("scenario", "sets", "coverage, %", "z", "converged", "levels and times / true, median")
     print("\n".join(markdown(head, rows)))
 

@@ -1,8 +1,7 @@
 """Numbers of `docs/published.md`: what five papers claim, and what their problems give here."""
 
-from benchmarks.documents.page import Page
+from benchmarks.documents.page import Page, paper
 from benchmarks.documents.published import auv, nomoto, sailboat, tanker, torpedo
-from benchmarks.documents.published.papers import paper
 
 __all__ = ["PAGE", "paper"]
 

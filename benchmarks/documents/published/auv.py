@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.documents.page import Numbers
-from benchmarks.documents.published.papers import paper
+from benchmarks.documents.page import Numbers, paper
 from oed_sysid import Dataset
 from oed_sysid.baselines import EquationError
 from oed_sysid.baselines.equations import exact_rates

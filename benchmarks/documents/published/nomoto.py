@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.documents.page import Numbers
-from benchmarks.documents.published.papers import paper
+from benchmarks.documents.page import Numbers, paper
 
 SEEDS = 10
 

@@ -6,8 +6,7 @@ import time
 
 import numpy as np
 
-from benchmarks.documents.page import Numbers
-from benchmarks.documents.published.papers import paper
+from benchmarks.documents.page import Numbers, paper
 from oed_sysid.baselines import EquationError, GibbsRegression
 from oed_sysid.likelihood.estimate import Posterior
 from oed_sysid.likelihood.fit import Fit

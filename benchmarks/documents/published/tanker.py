@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.documents.measured_data import ran
-from benchmarks.documents.page import Numbers
-from benchmarks.documents.published.papers import paper
+from benchmarks.documents.page import Numbers, paper
 
 COUNTS = (30, 60, 200)  # samples after which errors are stated
 FROM = {0.0: 10, 0.01: 50}  # noise of the second example, and the first sample that counts

@@ -7,8 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.documents.page import Numbers
-from benchmarks.documents.published.papers import paper
+from benchmarks.documents.page import Numbers, paper
 from oed_sysid.likelihood.fit import Fit
 
 LEVEL = 3.0  # per cent of noise, as published
