@@ -21,15 +21,11 @@ import numpy as np
 
 from benchmarks.harness import command, known
 from benchmarks.other_vehicles.models import modelled
-from oed_sysid import (
-    Experiment,
-    Limits,
-    Model,
-    load_problem,
-)
+from oed_sysid import Experiment, Limits, Model, load_problem
 from oed_sysid.design import (
     AOptimal,
     Caution,
+    Design,
     DOptimal,
     EOptimal,
     Knowledge,
@@ -44,6 +40,7 @@ from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.experiments.manoeuvres import ZigZag
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.information import confirm_bound, information_of
+from oed_sysid.likelihood.information import Information
 
 
 @dataclass(frozen=True)
@@ -156,56 +153,53 @@ def gains(model: Model, zigzag: Experiment, other: Experiment) -> tuple[float, f
 
 
 def compare(
-    name: str,
-    system: System,
-    degrees: float,
-    n_confirm: int,
-    criterion: AOptimal | DOptimal | EOptimal,
-    *,
-    envelope: bool,
+    name: str, system: System, degrees: float, n_confirm: int, criterion: str, *, envelope: bool
 ) -> None:
+    """Print how much smaller errors are than those of a zigzag, and of other references."""
     zigzag = system.zigzag(degrees)
     limits, reach = system.limits(degrees, envelope=envelope)
     began = time.perf_counter()
-    design = design_experiment(
-        system.model,
-        system.trial(limits),
-        criterion=criterion,
-        rng=np.random.default_rng(1),
-        search=Search(family=Levels(60), n_workers=2),
-        knowledge=Knowledge(prior=None),
-    )
+    search = Search(family=Levels(60), n_workers=2)
+    design = designed(system, limits, search, criterion=criterion)
     mean, worst = gains(system.model, zigzag, design.experiment)
-    words = (
-        ", ".join(f"|{k}| <= {np.degrees(v):.1f} deg" for k, v in reach.items())
-        or "vehicle's limits"
-    )
-    print(
+    parts = (f"|{k}| <= {np.degrees(v):.1f} deg" for k, v in reach.items())
+    words = ", ".join(parts) or "vehicle's limits"
+    say(
         f"{name} against {zigzag.name} ({words}): geometric mean {mean:.2f}x, worst {worst:.2f}x "
-        f"smaller; criterion {criterion.name} {design.value:.1f}, "
-        f"{time.perf_counter() - began:.1f} s",
-        flush=True,
+        f"smaller; criterion {criterion} {design.value:.1f}, {time.perf_counter() - began:.1f} s"
     )
     for reference in design.references:
         if reference.note:
             mean, worst = design.gain(reference)
-            print(
-                f"  {reference.name} {reference.note}: {mean:.2f}x, worst {worst:.2f}x", flush=True
-            )
+            say(f"  {reference.name} {reference.note}: {mean:.2f}x, worst {worst:.2f}x")
     confirmed = {"design": design.experiment, "zigzag": zigzag} if n_confirm else {}
     for label, experiment in confirmed.items():
         rng = np.random.default_rng(7)
         found = confirm_bound(system.model, experiment, rng=rng, n_runs=n_confirm)
         low, high = found.interval
-        sizes = np.abs([system.model.values[n] for n in found.names])
-        print(
+        errors = found.found / np.abs([system.model.values[n] for n in found.names])
+        say(
             f"  {label}: found/predicted error {found.ratios.min():.2f} to "
             f"{found.ratios.max():.2f} over parameters (99 %: {low:.2f} to {high:.2f}), "
             f"{found.n_failed} of {n_confirm} failed, relative errors found: geometric mean "
-            f"{np.exp(np.mean(np.log(found.found / sizes))):.2%}, worst "
-            f"{np.max(found.found / sizes):.2%}",
-            flush=True,
+            f"{np.exp(np.mean(np.log(errors))):.2%}, worst {errors.max():.2%}"
         )
+
+
+def say(text: str) -> None:
+    """Print at once: designs take a while."""
+    print(text, flush=True)
+
+
+def designed(
+    system: System, limits: Limits, search: Search, *, criterion: str = "D",
+    caution: Caution | str | None = "auto", prior: Information | None = None,
+) -> Design:  # fmt: skip
+    """A design of a vehicle of which no more than the prior information is known."""
+    return design_experiment(
+        system.model, system.trial(limits), criterion=CRITERIA[criterion], caution=caution,
+        rng=np.random.default_rng(1), search=search, knowledge=Knowledge(prior=prior),
+    )  # fmt: skip
 
 
 def robustness(
@@ -217,62 +211,50 @@ def robustness(
     prior = information_of(system.model, system.zigzag(5.0), priors=None) if informed else None
     spread = None if informed else 0.3
     what = "drawn from what a 5/5 zigzag tells" if informed else "off by up to 30 %"
-    print(f"{name}, coefficients {what}:", flush=True)
+    say(f"{name}, coefficients {what}:")
     standard = assess_limits(
-        system.model,
-        zigzag,
-        limits=limits,
-        spread=spread,
-        prior=prior,
-        vehicles=100,
+        system.model, zigzag, limits=limits, spread=spread, prior=prior, vehicles=100,
         rng=np.random.default_rng(3),
-    )
-    print(f"  {zigzag.name} itself: {standard.report()}", flush=True)
-    nominal = 0.0
+    )  # fmt: skip
+    say(f"  {zigzag.name} itself: {standard.report()}")
+    nominal, few = 0.0, Levels(30)
+    search = Search(family=few, n_starts=1, n_candidates=40, n_steps=12, n_workers=2)
     for label, caution in (("nominal", None), ("cautious", Caution(0.95, spread))):
         began = time.perf_counter()
         try:
-            design = design_experiment(
-                system.model,
-                system.trial(limits),
-                caution=caution,
-                rng=np.random.default_rng(1),
-                search=Search(
-                    family=Levels(30), n_starts=1, n_candidates=40, n_steps=12, n_workers=2
-                ),
-                knowledge=Knowledge(prior=prior),
-            )
+            design = designed(system, limits, search, caution=caution, prior=prior)
         except DesignError as error:
-            print(f"  {label} design: {error}", flush=True)
+            say(f"  {label} design: {error}")
             continue
         seconds = time.perf_counter() - began
         gain, worst = gains(system.model, zigzag, design.experiment)
         nominal = nominal or gain
-        found, outside = [], 0
-        for index, truth in enumerate(
-            draw_models(system.model, spread, n_draws, prior, np.random.default_rng(3))
-        ):
-            finer = replace(truth, step=truth.step / 5)
-            try:
-                run = simulate_inputs(
-                    finer,
-                    design.trajectory.times,
-                    inputs=design.trajectory.inputs,
-                    initial=system.initial,
-                )
-                outside += bool(limits.violations(run.times, run.signals))
-                if index < 20:
-                    found.append(gains(truth, zigzag, design.experiment)[0])
-            except SimulationError:
-                outside += 1
+        vehicles = draw_models(system.model, spread, n_draws, prior, np.random.default_rng(3))
+        found, outside = replayed(system, limits, design, zigzag, vehicles)
         stated = "" if design.assurance is None else f"; stated: {design.assurance.report()}"
-        print(
+        say(
             f"  {label} design: gain {gain:.2f} (worst {worst:.2f}) at the nominal values, "
             f"median of 20 others {np.median(found):.2f} ({np.median(found) / nominal:.0%} of the "
             f"nominal design's {nominal:.2f}), lowest {min(found):.2f}; {outside} of {n_draws} "
-            f"leave the limits{stated}; {seconds:.0f} s",
-            flush=True,
+            f"leave the limits{stated}; {seconds:.0f} s"
         )
+
+
+def replayed(
+    system: System, limits: Limits, design: Design, zigzag: Experiment, vehicles: Sequence[Model]
+) -> tuple[list[float], int]:
+    """Gains on the first twenty of other vehicles, and how many of all leave the limits."""
+    found, outside, played = [], 0, design.trajectory
+    for index, truth in enumerate(vehicles):
+        finer = replace(truth, step=truth.step / 5)
+        try:
+            run = simulate_inputs(finer, played.times, inputs=played.inputs, initial=system.initial)
+            outside += bool(limits.violations(run.times, run.signals))
+            if index < 20:
+                found.append(gains(truth, zigzag, design.experiment)[0])
+        except SimulationError:
+            outside += 1
+    return found, outside
 
 
 def main(
@@ -301,7 +283,7 @@ def main(
     criterion : str
         D, A or E
     """
-    chosen = CRITERIA[known(criterion, CRITERIA, "criterion")]
+    known(criterion, CRITERIA, "criterion")
     for name in systems:
         system = SYSTEMS[known(name, SYSTEMS, "system")]()
         for degrees in angles:
@@ -310,7 +292,7 @@ def main(
                     robustness(name, system, degrees, informed=informed)
                 continue
             for envelope in (False,) if vehicle else (True, False):
-                compare(name, system, degrees, confirm, chosen, envelope=envelope)
+                compare(name, system, degrees, confirm, criterion, envelope=envelope)
 
 
 if __name__ == "__main__":
