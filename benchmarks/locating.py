@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
-from benchmarks.harness import Row, command, markdown
-from benchmarks.missing_physics.cases import DATA, UNKNOWN_TERMS, draws, simulate_draws
+from benchmarks.harness import RESULTS, Row, Store, markdown, study
+from benchmarks.missing_physics.cases import DATA, UNKNOWN_TERMS, Draw, draws, simulate_draws
 from benchmarks.missing_physics.judge import datasets, nominal
-from benchmarks.missing_physics.simulator import Case, Records
+from benchmarks.missing_physics.simulator import Case
 from oed_sysid.evidence.locate import locate
 from oed_sysid.evidence.study import Study
 
@@ -34,22 +35,24 @@ def right_places(case: Case) -> tuple[str, ...]:
     return ()
 
 
-def outcome(case: Case, records: Sequence[Records]) -> Row:
+def outcome(draw: Draw) -> Row:
     """Which place is accused in one case, which are right, and how long it took, s."""
+    ((case, records),) = simulate_draws([draw])
     train, test = datasets(nominal(), records)
-    study, fit = Study.begin(nominal().model, train, test, (), known_noise=False)
+    begun, fit = Study.begin(nominal().model, train, test, (), known_noise=False)
     began, right = time.perf_counter(), right_places(case)
-    found = locate(fit, study.unit)
+    found = locate(fit, begun.unit)
     seconds = time.perf_counter() - began
     near = {place.name for place in found.places[:2]} | set(found.group)
     return {
-        "right": right, "best": found.best, "group": found.group,
-        "near": bool(near & set(right)), "seconds": seconds,
+        "key": draw.key, "hidden": ", ".join(case.effects) or "nothing", "right": list(right),
+        "best": found.best, "group": list(found.group), "near": bool(near & set(right)),
+        "seconds": seconds,
     }  # fmt: skip
 
 
-def rows(outcomes: Sequence[Row]) -> list[tuple[str, str]]:
-    """Measures as pairs of words and numbers."""
+def table(outcomes: Sequence[Row]) -> str:
+    """Measures as Markdown."""
     hidden, nothing = ([o for o in outcomes if bool(o["right"]) is so] for so in (True, False))
     seen, false = ([o for o in part if o["best"] is not None] for part in (hidden, nothing))
     counts = {
@@ -60,24 +63,25 @@ def rows(outcomes: Sequence[Row]) -> list[tuple[str, str]]:
     }
     seconds = f"{np.median([o['seconds'] for o in outcomes]):.1f}"
     found = [(words, f"{count} of {len(all_)}") for words, (count, all_) in counts.items()]
-    return [*found, ("seconds to locate, median", seconds)]
+    lines = [*found, ("seconds to locate, median", seconds)]
+    return "\n".join(markdown(("measure", "value"), lines))
 
 
-def main(plan: str = PLAN) -> None:
-    """Run a plan and print the measures.
+def cases(plan: str = PLAN) -> dict[str, partial[Row]]:
+    """Cases of a plan by name.
 
     Parameters
     ----------
     plan : str
         kinds of cases and how many, as "single/white:40 none/white:10"
     """
-    wanted, outcomes = draws(plan), list[Row]()
-    for draw, (case, records) in zip(wanted, simulate_draws(wanted), strict=True):
-        outcomes.append(outcome(case, records))
-        accused = ", ".join(outcomes[-1]["group"]) or "noise"
-        print(f"{draw.key} {', '.join(case.effects) or 'nothing'}: {accused}", flush=True)
-    print("\n".join(markdown(("measure", "value"), rows(outcomes))))
+    return {draw.key: partial(outcome, draw) for draw in draws(plan)}
+
+
+def told(row: Row) -> str:
+    """Which places are accused in a case."""
+    return f"{row['key']} {row['hidden']}: {', '.join(row['group']) or 'noise'}"
 
 
 if __name__ == "__main__":
-    command(main)
+    study(cases, table, Store(RESULTS / "locating.jsonl"), tell=told)
