@@ -24,6 +24,6 @@ warnings. A data set counts once in every Monte-Carlo error: its parameters are 
 ::
 
     export OMP_NUM_THREADS=1
-    python -m benchmarks.random_forces --reference             # what is missing (gcc; minutes)
-    python -m benchmarks.random_forces tiny small --sets 200 --store out/forces.jsonl
+    python -m benchmarks.random_forces.reference               # what is missing (gcc; minutes)
+    python -m benchmarks.random_forces tiny small --sets 200
 """

@@ -25,16 +25,19 @@ import ctypes
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
-from benchmarks.harness import RESULTS, Row, Store
-from benchmarks.random_forces.scenarios import VEHICLES, Scenario, Vehicle
-from benchmarks.random_forces.simulator import Run, Set
+from benchmarks.harness import RESULTS, Row, Store, command, markdown
+from benchmarks.harness import known as is_known
+from benchmarks.random_forces.measures import errors, estimated, of_reference
+from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES, Scenario, Vehicle
+from benchmarks.random_forces.simulator import Run, Set, simulate
 
 LANES = 8
 ITERATIONS = 60
@@ -321,25 +324,63 @@ def entry(scenario: Scenario, seed: int, data: Set, found: Maximum) -> Row:
 
 
 def known(
-    scenario: Scenario, seed: int, sets: Sequence[Set], store: Store = STORE
+    scenario: Scenario, seed: int, data: Mapping[int, float], store: Store = STORE
 ) -> dict[int, Row]:
-    """What is known of these data sets, by number; entries of other data are left out."""
+    """What is known of data sets of these fingerprints, by number."""
     done, order, found = store.done(), names(scenario), {}
-    for data in sets:
-        line = done.get(key(scenario, seed, data.number))
-        if line is not None and abs(line["data"] / data.fingerprint - 1.0) < 1e-7:
+    for number, fingerprint in data.items():
+        line = done.get(key(scenario, seed, number))
+        if line is not None and abs(line["data"] / fingerprint - 1.0) < 1e-7:
             parts = ("estimates", "std_errors")
             values = {part: dict(zip(order, line[part], strict=True)) for part in parts}
-            found[data.number] = {"converged": line["converged"], **values}
+            found[number] = {"converged": line["converged"], **values}
     return found
 
 
-def complete(
-    scenario: Scenario, seed: int, sets: Sequence[Set], tell: Callable[[str], None]
-) -> None:
-    """Compute what is missing."""
-    have = known(scenario, seed, sets)
-    missing = [data for data in sets if data.number not in have]
-    for data in missing:
-        STORE.add(entry(scenario, seed, data, reference(scenario, data)))
-    tell(f"{scenario.name}: reference of {len(missing)} data sets, {len(have)} were there")
+def complete(scenario: Scenario, seed: int, sets: Sequence[Set]) -> list[SimpleNamespace]:
+    """Compute what is missing; what the reference makes of all sets, with their truth."""
+    data = {one.number: one.fingerprint for one in sets}
+    have = known(scenario, seed, data)
+    for one in sets:
+        if one.number not in have:
+            STORE.add(entry(scenario, seed, one, reference(scenario, one)))
+    return of_reference(sets, known(scenario, seed, data))
+
+
+def row(scenario: Scenario, fits: Sequence[SimpleNamespace]) -> tuple[object, ...]:
+    """Whether the reference itself is what it should be."""
+    order = list(VEHICLES[scenario.vehicle].believed)
+    found, noise = estimated(order, *errors(fits, order)), structure(scenario)
+    ratios = {
+        name: np.median([fit.estimates[name] for fit in fits]) / noise.values[name]
+        for name in noise.free
+    }
+    told = ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items())
+    converged = 100 * np.mean([fit.converged for fit in fits])
+    coverage = f"{found['coverage']:.1f} ± {found['coverage_error']:.1f}"
+    return scenario.name, len(fits), coverage, f"{found['z']:.2f}", f"{converged:.0f} %", told
+
+
+def main(scenarios: Sequence[str] = tuple(SCENARIOS), *, sets: int = 40, seed: int = 0) -> None:
+    """Fill the store, and say whether the reference is what it should be.
+
+    Parameters
+    ----------
+    scenarios : sequence of str
+        all of them by default
+    sets : int
+        data sets per scenario
+    seed : int
+        of the data sets
+    """
+    rows = []
+    for name in scenarios:
+        scenario = SCENARIOS[is_known(name, SCENARIOS, "scenario")]
+        rows.append(row(scenario, complete(scenario, seed, simulate(scenario, seed, range(sets)))))
+        print(*rows[-1], flush=True)
+    head = ("scenario", "sets", "coverage, %", "z", "converged", "levels and times / true, median")
+    print("\n".join(markdown(head, rows)))
+
+
+if __name__ == "__main__":
+    command(main)

@@ -1,123 +1,96 @@
-"""Command line: simulate, fit, compare with the reference, tabulate."""
+"""What is fitted and measured, by the command line or for a page."""
 
 from __future__ import annotations
 
-import sys
-import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
-import numpy as np
-
-from benchmarks.harness import Store, known, markdown
-from benchmarks.random_forces import reference as cache
-from benchmarks.random_forces.measures import errors, estimated, measure, of_reference, table
-from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES, Scenario
+from benchmarks.harness import RESULTS, Row, Store, grouped, known
+from benchmarks.random_forces import reference
+from benchmarks.random_forces.measures import measure
+from benchmarks.random_forces.measures import table as tabulated
+from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import Set, simulate
 from benchmarks.random_forces.trial import Outcome, outcome
 
+STORE = Store(RESULTS / "random_forces.jsonl")
 SETS, SEED = 40, 0
 KINDS = ("auto", "none", "all", "known")
 
 
-def run(
-    names: Sequence[str],
-    *,
-    sets: int = SETS,
-    seed: int = SEED,
-    settings: Mapping[str, Any] | None = None,
-    store: Store | None = None,
-) -> list[dict[str, Any]]:
-    """Measure the estimator in some scenarios.
+@dataclass(frozen=True)
+class Task:
+    """A data set to be fitted, and settings of ``MultipleShooting``."""
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of :data:`~benchmarks.random_forces.scenarios.SCENARIOS`.
-    sets, seed : int
-        Number of data sets, and which.
-    settings : mapping
-        Of ``MultipleShooting``.
-    store : Store, optional
-        Keeps every fit; those that it has, of the same seed and settings, are not made again.
+    scenario: str
+    seed: int
+    number: int
+    settings: Mapping[str, Any]
 
-    Returns
-    -------
-    list of dict
-        See :func:`~benchmarks.random_forces.measures.measure`.
-    """
-    results = list[dict[str, Any]]()
-    how = repr(sorted((settings or {}).items()))
-    done = store.done() if store else {}
-    for name in names:
-        scenario, began = SCENARIOS[name], time.perf_counter()
-        data, outcomes = simulate(scenario, seed, range(sets)), list[Outcome]()
-        for one in data:
-            key = f"{cache.key(scenario, seed, one.number)} {how}"
-            if key in done:
-                outcomes.append(Outcome(**done[key]["fit"]))
-                continue
-            outcomes.append(outcome(scenario, one, settings or {}))
-            if store:
-                store.add({"key": key, "fit": asdict(outcomes[-1])})
-        results.append(measure(scenario, outcomes, cache.known(scenario, seed, data)))
-        last = results[-1]
-        tell(
-            f"{name}: coverage {last['coverage']:.1f} %, z {last['z']:.2f}, flagged "
-            f"{last['flagged']:.0f} % ({time.perf_counter() - began:.0f} s)"
-        )
+    @property
+    def key(self) -> str:
+        """Name of the case."""
+        return f"{self.scenario}/{self.seed}/{self.number} {sorted(self.settings.items())}"
+
+
+def tasks(
+    names: Sequence[str], sets: int, seed: int, settings: Mapping[str, Any]
+) -> dict[str, Task]:
+    """So many data sets of each scenario."""
+    every = [Task(name, seed, number, settings) for name in names for number in range(sets)]
+    return {task.key: task for task in every}
+
+
+def calls(left: Sequence[Task]) -> Iterator[Callable[[], Row]]:
+    """What fits each data set; those of a scenario are simulated side by side."""
+    for (name, seed), own in grouped(left, lambda task: (task.scenario, task.seed)).items():
+        sets = simulate(SCENARIOS[name], seed, [task.number for task in own])
+        for task, data in zip(own, sets, strict=True):
+            yield partial(fitted, task, data)
+
+
+def fitted(task: Task, data: Set) -> Row:
+    """One fit, and of which data it is."""
+    found = asdict(outcome(SCENARIOS[task.scenario], data, task.settings))
+    how = {"scenario": task.scenario, "seed": task.seed, "settings": repr(dict(task.settings))}
+    return {"key": task.key, **how, "data": data.fingerprint, "fit": found}
+
+
+def measured(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Measures of every scenario: see :func:`~benchmarks.random_forces.measures.measure`."""
+    results = []
+    groups = grouped(rows, lambda row: (row["scenario"], row["seed"], row["settings"]))
+    for (name, seed, _), own in groups.items():
+        scenario, outcomes = SCENARIOS[name], [Outcome(**row["fit"]) for row in own]
+        data = {row["fit"]["number"]: row["data"] for row in own}
+        results.append(measure(scenario, outcomes, reference.known(scenario, seed, data)))
     return results
 
 
-def tell(text: str) -> None:
-    """Progress, beside the tables."""
-    print(text, file=sys.stderr, flush=True)
+def run(
+    names: Sequence[str], *, sets: int = SETS, seed: int = SEED, settings: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Fit anew, keeping nothing, and measure."""
+    return measured([call() for call in calls([*tasks(names, sets, seed, settings).values()])])
 
 
-def compute_reference(names: Sequence[str], sets: int, seed: int) -> None:
-    """Fill the cache, and say whether the reference is what it should be."""
-    rows = list[Sequence[object]]()
-    for name in names:
-        scenario = SCENARIOS[name]
-        data = simulate(scenario, seed, range(sets))
-        cache.complete(scenario, seed, data, tell)
-        rows.append(reference_row(scenario, data, cache.known(scenario, seed, data)))
-    head = ("scenario", "sets", "coverage, %", "z", "converged", "levels and times / true, median")
-    print("\n".join(markdown(head, rows)))
+def table(rows: Sequence[Row]) -> str:
+    """Measures as Markdown."""
+    return tabulated(measured(rows))
 
 
-def reference_row(
-    scenario: Scenario, data: Sequence[Set], lines: Mapping[int, Mapping[str, Any]]
-) -> tuple[object, ...]:
-    """One row about the reference itself."""
-    fits = of_reference(data, lines)
-    names = list(VEHICLES[scenario.vehicle].believed)
-    found = estimated(names, *errors(fits, names))
-    noise = cache.structure(scenario)
-    ratios = {
-        name: np.median([fit.estimates[name] for fit in fits]) / noise.values[name]
-        for name in noise.free
-    }
-    told = ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items())
-    converged = 100 * np.mean([fit.converged for fit in fits])
-    coverage = f"{found['coverage']:.1f} ± {found['coverage_error']:.1f}"
-    return scenario.name, len(fits), coverage, f"{found['z']:.2f}", f"{converged:.0f} %", told
-
-
-def main(
+def cases(
     scenarios: Sequence[str] = tuple(SCENARIOS),
     *,
     sets: int = SETS,
     seed: int = SEED,
-    store: Path | None = None,
-    reference: bool = False,
     disturbances: str = "auto",
     fit_only: bool = False,
     loss: str = "square",
-) -> None:
-    """Coverage and errors under disturbance forces and imperfect sensors.
+) -> dict[str, Task]:
+    """Data sets of some scenarios.
 
     Parameters
     ----------
@@ -127,8 +100,6 @@ def main(
         data sets per scenario
     seed : int
         of the data sets
-    reference : bool
-        compute the reference instead
     disturbances : str
         auto, none, all, known (swell) or names as Z,M
     fit_only : bool
@@ -137,10 +108,6 @@ def main(
         square, huber or student
     """
     names = [known(name, SCENARIOS, "scenario") for name in scenarios]
-    if reference:
-        return compute_reference(names, sets, seed)
     places = disturbances if disturbances in KINDS else tuple(disturbances.split(","))
     settings = {"disturbances": places, "loss": loss} | ({"predict": False} if fit_only else {})
-    kept = Store(store) if store else None
-    print(table(run(names, sets=sets, seed=seed, settings=settings, store=kept)))
-    return None
+    return tasks(names, sets, seed, settings)
