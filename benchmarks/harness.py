@@ -336,6 +336,7 @@ def study(
     *,
     calls: Callable[[Sequence[Any]], Iterable[Callable[[], Row]]] = iter,
     tell: Callable[[Row], str] = str,
+    marks: str = "measured",
 ) -> None:
     """Run, as the command line says, what is not in a store yet, and print a table.
 
@@ -349,6 +350,8 @@ def study(
         Where they are kept, unless the command line names another place.
     calls, tell : callable
         See :func:`run_cases`, of whose ``jobs`` the first is one.
+    marks : str
+        Between which the table stands on a page.
     """
     own, shared = _parsed((cases, _shared))
     kept = replace(store, path=shared["store"] or store.path)
@@ -360,7 +363,7 @@ def study(
     text = table(rows)
     print(text)
     if shared["table"]:
-        write_page(shared["table"], text)
+        write_page(shared["table"], text, marks)
 
 
 def _shared(

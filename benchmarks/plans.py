@@ -1,6 +1,6 @@
 """What is promised of plans, beside what was measured: one table in docs/programme.md.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.plans [sets bias flown priors ...] [--write]
+    OMP_NUM_THREADS=1 python -m benchmarks.plans [sets bias flown priors ...] [--show]
 
 *sets*: the set that can be estimated together against all :math:`2^n` sets, tried by code of this
 file, and errors, the others fixed, against central differences. *bias*: what fixing a parameter at
@@ -16,7 +16,7 @@ from __future__ import annotations
 import runpy
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -26,19 +26,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import realised, stopping
-from benchmarks.harness import (
-    RESULTS,
-    ROOT,
-    Row,
-    Store,
-    command,
-    grouped,
-    ignorant,
-    known,
-    markdown,
-    run_cases,
-    write_page,
-)
+from benchmarks.harness import RESULTS, Row, Store, grouped, ignorant, known, markdown, study
 from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import simulate as data_sets
 from benchmarks.random_forces.trial import dataset, nominal_model
@@ -334,8 +322,8 @@ def watched(key: str, name: str) -> Row:
 # -- the table --------------------------------------------------------------------------
 
 
-def cases() -> dict[str, dict[str, Callable[[], Row]]]:
-    """Sections and their cases."""
+def sections() -> dict[str, dict[str, partial[Row]]]:
+    """Cases by section."""
     sets = {f"set {n} {v or ''} {r or 'all'}": partial(set_of, name=n, variant=v, run=r)
             for n, v, r in SETS}  # fmt: skip
     closed = {f"flown {s:g} off": partial(flown, spread=s, forces=1.0, seed=1) for s in (0.12, 0.2)}
@@ -347,14 +335,23 @@ def cases() -> dict[str, dict[str, Callable[[], Row]]]:
         for name in STARTS for i in range(SETS_IN_SWELL)
     }  # fmt: skip
     watch = {f"watch {name}": partial(watched, name=name) for name in WATCHED}
-    sections = {
+    return {
         "sets": sets, "bias": bias, "flown": closed, "priors": priors, "starts": starts,
         "watch": watch,
     }  # fmt: skip
-    return {
-        section: {key: partial(work, key) for key, work in own.items()}
-        for section, own in sections.items()
-    }
+
+
+def cases(names: Sequence[str] = ()) -> dict[str, partial[Row]]:
+    """Cases of some sections by name.
+
+    Parameters
+    ----------
+    names : sequence of str
+        sets, bias, flown, priors, starts, watch; all without a name
+    """
+    every = sections()
+    chosen = [every[known(name, every, "section")] for name in names or every]
+    return {key: partial(work, key) for own in chosen for key, work in own.items()}
 
 
 def promised(stated: int, least: float, flown: int) -> str:
@@ -362,14 +359,15 @@ def promised(stated: int, least: float, flown: int) -> str:
     return f"stated {stated / FLIGHTS:.1%} (at least {least:.1%}), flown {flown / FLIGHTS:.1%}"
 
 
-def lines() -> list[tuple[str, str, str, str]]:
-    """Lines of the table that have been measured: what, how, how many, result."""
-    return [*_planned(), *_realised(), *_stopped()]
+def table(rows: Sequence[Row]) -> str:
+    """Promised beside measured, with what is kept of other benchmarks, as Markdown."""
+    lines = [*_planned(rows), *_realised(), *_stopped()]
+    return "\n".join(markdown(("what", "`python -m benchmarks.`", "of", "measured"), lines))
 
 
-def _planned() -> Iterator[tuple[str, str, str, str]]:
-    """Lines of this benchmark."""
-    sections = grouped(STORE.rows(), lambda row: row["key"].split()[0])
+def _planned(rows: Sequence[Row]) -> Iterator[tuple[str, str, str, str]]:
+    """Lines of this benchmark: what, how, how many, result."""
+    sections = grouped(rows, lambda row: row["key"].split()[0])
     if sets := sections.get("set", []):
         how, n = "`plans sets`", f"{len(sets)} vehicles and runs"
         best = sum(row["optimal"] for row in sets)
@@ -445,26 +443,5 @@ def _stopped() -> Iterator[tuple[str, str, str, str]]:
         yield f"right model called contradicted, {sea_of(swell)}", how, f"{n} trials", told
 
 
-def main(
-    sections: Sequence[str] = (), *, jobs: int = 1, write: bool = False, show: bool = False
-) -> None:
-    """Measure what is missing and print or write the table.
-
-    Parameters
-    ----------
-    sections : sequence of str
-        sets, bias, flown, priors, starts, watch; all without a name
-    write : bool
-        write the table into docs/programme.md
-    """
-    every = cases()
-    for section in () if show else sections or every:
-        run_cases(STORE, every[known(section, every, "section")], n_jobs=jobs)
-    text = "\n".join(markdown(("what", "`python -m benchmarks.`", "of", "measured"), lines()))
-    if write:
-        write_page(ROOT / "docs" / "programme.md", text, "plans")
-    print(text)
-
-
 if __name__ == "__main__":
-    command(main)
+    study(cases, table, STORE, marks="plans")
