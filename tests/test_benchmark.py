@@ -6,6 +6,7 @@ import ast
 import csv
 import io
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from scipy.stats import t as student
 from turning_ship import SHIP, record
 
 from benchmarks.disjoint import PAGE, simulated
-from benchmarks.harness import between
+from benchmarks.harness import Store, between, study
 from oed_sysid.baselines.benchmark import (
     PROBLEMS,
     Benchmark,
@@ -308,3 +309,43 @@ def test_what_benchmarks_import_is_there() -> None:
                 except ImportError as error:
                     lost.append(f"{path.name}: {error}")
     assert lost == []
+
+
+def test_a_study_goes_on_where_it_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It has the options of its cases and those of all studies, and runs what is not kept."""
+    ran: list[int] = []
+
+    def work(number: int) -> dict:
+        ran.append(number)
+        return {"key": str(number), "square": number**2}
+
+    def cases(*, numbers: int = 2) -> dict:
+        """So many numbers.
+
+        Parameters
+        ----------
+        numbers : int
+            how many
+        """
+        return {str(number): partial(work, number) for number in range(numbers)}
+
+    def table(rows: list[dict]) -> str:
+        return f"sum {sum(row['square'] for row in rows)}"
+
+    kept, page = Store(tmp_path / "kept.jsonl"), tmp_path / "page.md"
+
+    def called(*words: str) -> str:
+        monkeypatch.setattr("sys.argv", ["study", *words])
+        study(cases, table, kept)
+        return capsys.readouterr().out
+
+    assert "2 cases, 0 of them done" in called()
+    assert "sum 5" in called("--numbers", "3", "--table", str(page))
+    assert ran == [0, 1, 2]
+    assert "sum 5" in page.read_text(encoding="utf-8")
+    assert called("--show", "--numbers", "1") == "sum 5\n"
+    assert "sum 1" in called("--store", str(tmp_path / "other.jsonl"))
+    assert ran == [0, 1, 2, 0, 1]
+    assert all(row["revision"] for row in kept.rows())
