@@ -35,6 +35,8 @@ ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 # Linear algebra on one thread: what a benchmark's processes are started with.
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+# Standard errors on either side of an estimate that a 95 % interval has.
+TWO_SIDED_95 = 1.96
 # Where dives of the REMUS-like vehicle begin.
 START = {"u": 1.5, "z": 10.0}
 Row = dict[str, Any]

@@ -436,7 +436,7 @@ def _stopped() -> Iterator[tuple[str, str, str, str]]:
     )  # fmt: skip
     for swell, group in kinds.items():
         n, doubted = len(group), sum(row["doubted"] for row in group)
-        inside = np.mean([abs(v) < 1.96 for row in group for v in row["apart"].values()])
+        inside = np.mean(stopping.within(group))
         how = f"`stopping --hidden nothing --rules checked --arms planned --swell {swell:g}`"
         most = 1 - at_least(n - doubted, n)
         told = f"{doubted} (at most {most:.0%}); intervals hold {inside:.0%}"

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Row, markdown, places_of
+from benchmarks.harness import TWO_SIDED_95, Row, markdown, places_of
 from oed_sysid import Dataset, Model, improve
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.physics import Effect
@@ -22,7 +22,6 @@ from oed_sysid.physics import Effect
 Entry = Mapping[str, Any]
 LARGEST_GROUP = 3
 AS_GOOD = 1.05  # error of a model over that of the true structure, up to which it is as good
-TWO_SIDED_95 = 1.96
 
 
 def _rate(

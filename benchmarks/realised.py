@@ -23,7 +23,17 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import RESULTS, Row, Store, grouped, ignorant, known, markdown, study
+from benchmarks.harness import (
+    RESULTS,
+    TWO_SIDED_95,
+    Row,
+    Store,
+    grouped,
+    ignorant,
+    known,
+    markdown,
+    study,
+)
 from benchmarks.missing_physics.simulator import SAMPLE, Case, Truth, integrate
 from benchmarks.random_forces.scenarios import MEDIUM, REMUS
 from benchmarks.random_forces.simulator import swell as waves_of_swell
@@ -122,7 +132,7 @@ def repetition(
     truth = np.array([model.values[name] for name in model.free_names])
     errors = dict(zip(model.free_names, (fit.estimates - truth).tolist(), strict=True))
     stated = np.array([fit.std_errors[name] for name in model.free_names])
-    inside = np.abs(fit.estimates - truth) < 1.96 * stated
+    inside = np.abs(fit.estimates - truth) < TWO_SIDED_95 * stated
     return {
         "key": key, **facts, "converged": fit.status.ok, "errors": errors,
         "inside": inside.tolist(),

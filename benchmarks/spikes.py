@@ -26,11 +26,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import RESULTS, Row, Store, known, markdown, study
+from benchmarks.harness import RESULTS, TWO_SIDED_95, Row, Store, known, markdown, study
 from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES
 from benchmarks.random_forces.simulator import Set, simulate, stream
 from benchmarks.random_forces.trial import outcome
-from benchmarks.rates import TWO_SIDED_95
 
 STORE = Store(RESULTS / "spikes.jsonl", key=lambda row: tuple(row["key"]))
 WORLDS = ("white", "ship_white")

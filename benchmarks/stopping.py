@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import RESULTS, Row, Store, grouped, study, tabulate
+from benchmarks.harness import RESULTS, TWO_SIDED_95, Row, Store, grouped, study, tabulate
 from oed_sysid import Dataset, Limits, Model, MultipleShooting, improve, load_problem
 from oed_sysid.design import (
     Budget,
@@ -147,9 +147,14 @@ def dives(group: Sequence[Row]) -> str:
     return f"{np.median(numbers):g} ({min(numbers)} to {max(numbers)})"
 
 
+def within(group: Sequence[Row]) -> list[bool]:
+    """Which 95 % intervals hold the truth."""
+    return [abs(value) < TWO_SIDED_95 for row in group for value in row["apart"].values()]
+
+
 def held(group: Sequence[Row]) -> str:
     """Share of the 95 % intervals that hold the truth where coefficients are called known."""
-    inside = [abs(value) < 1.96 for row in known(group) for value in row["apart"].values()]
+    inside = within(known(group))
     return f"{np.mean(inside):.0%} of {len(inside)}" if inside else "-"
 
 

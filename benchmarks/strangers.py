@@ -24,7 +24,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, orth
 
-from benchmarks.harness import RESULTS, Row, Store, grouped, study, tabulate
+from benchmarks.harness import RESULTS, TWO_SIDED_95, Row, Store, grouped, study, tabulate
 from benchmarks.other_vehicles.judge import DETECTABLE
 from benchmarks.other_vehicles.measures import accepted as named
 from benchmarks.rates import searched, share, summary
@@ -40,7 +40,6 @@ from oed_sysid import (
     State,
 )
 from oed_sysid.physics import Effect, forces, signals
-from oed_sysid.runtime.display import TWO_SIDED_95
 
 STORE = RESULTS / "strangers.jsonl"
 # What is hidden, case after case; of an unlisted effect the candidates know nothing.

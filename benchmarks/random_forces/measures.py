@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import markdown
+from benchmarks.harness import TWO_SIDED_95, markdown
 from benchmarks.random_forces.scenarios import VEHICLES, Scenario
 from benchmarks.random_forces.simulator import Set
 from benchmarks.random_forces.trial import Outcome
 
-QUANTILE = 1.959964
 # An error of more than this many standard errors counts as this many in z.
 LARGEST = 100.0
 # Level and time of each disturbance force.
@@ -75,7 +74,7 @@ def measure(
 
 def estimated(names: Sequence[str], error: np.ndarray, z: np.ndarray) -> dict[str, Any]:
     """Coverage, errors over standard errors and bias, of all parameters and of each."""
-    inside = np.abs(z) <= QUANTILE
+    inside = np.abs(z) <= TWO_SIDED_95
     coverage, coverage_error = share(inside)
     sizes = 100 * np.stack([inside.mean(axis=0), np.sqrt(np.mean(error**2, axis=0))], axis=1)
     bias = np.mean(np.clip(z, -LARGEST, LARGEST), axis=0)

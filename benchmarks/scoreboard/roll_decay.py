@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import find_peaks
 
-from benchmarks.rates import TWO_SIDED_95
+from benchmarks.harness import TWO_SIDED_95
 from benchmarks.scoreboard.row import Row, attempted, columns, missing, place
 from oed_sysid import Channels, Dataset, Fit, Model, MultipleShooting, Record, load_problem
 from oed_sysid.errors import DataError
