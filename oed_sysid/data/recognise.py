@@ -7,53 +7,54 @@ eqs. 2.26 and 2.38, at small roll)
     \psi(t) - \psi(0) = \int r, \qquad \phi: \int p, \qquad \theta: \int q, \qquad
     x + i y = \int (u + i v)\, e^{i\psi}, \qquad z = \int (w\cos\theta - u\sin\theta) .
 
-A field :math:`a` in an unknown unit and with an unknown sign is :math:`a = s\,f\,y`. Regressed on
-the integral of another field, with a constant and a bias, it gives a slope :math:`k` and a share
-:math:`R^2` that is explained; :math:`|k|` is the ratio of two units, which is one of a few numbers,
-and the sign of :math:`k` is the product of two signs. Positions are regressed on
-:math:`\int u\cos\psi` and :math:`\int u\sin\psi`: the size of the two slopes is a ratio of units
-again, their direction says which axis it is and how a heading counts. Jumps by a turn give the unit
-of an angle by themselves.
+What one field explains of another, and in which units, is :mod:`~oed_sysid.data.fields`. The sign
+of a slope is the product of two signs. Positions are regressed on :math:`\int u\cos\psi` and
+:math:`\int u\sin\psi`: the size of the two slopes is a ratio of units, their direction says which
+axis it is and how a heading counts. Jumps by a turn give the unit of an angle by themselves.
 
-Each explanation is worth :math:`-\tfrac{n}{2}\ln(1-R^2)` nats for :math:`n` independent samples,
-less what the slope is away from its ratio; sizes of motions and names in several languages add
-what they are worth as a prior. What has less than :data:`SURE` of the sum of its alternatives is a
-doubt, to be asked. Mirrored axes, all of them at once, obey the same equations: there only
-conventions and names tell, and where they are weak it is asked.
+What has less than :data:`~oed_sysid.data.fields.SURE` of the sum of its alternatives is a doubt, to
+be asked. Mirrored axes, all of them at once, obey the same equations: there only conventions and
+names tell, and where they are weak it is asked.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import permutations, product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from oed_sysid.data.log import TABLE, Log, Series, groups_of, meaning, symbol_of
+from oed_sysid.data.fields import (
+    NAMED,
+    NOTHING,
+    SPURIOUS,
+    SURE,
+    USUAL,
+    Field,
+    Fields,
+    Reading,
+    alone,
+    certain,
+    chances,
+    explained,
+    factor,
+    integrals,
+    likeliest,
+    line,
+    match,
+)
+from oed_sysid.data.log import TABLE, Log, groups_of, meaning
 from oed_sysid.data.mapping import LogMapping, Source
-from oed_sysid.data.record import TURN, clear_wraps, unwrapped
+from oed_sysid.data.record import TURN, unwrapped
 from oed_sysid.errors import DataError
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.runtime.display import align, as_dict
-from oed_sysid.text.units import converts, is_unit, parse_header, shown_unit, to_si
+from oed_sysid.text.units import converts, parse_header, shown_unit, to_si
 
-# Probability from which on a choice is not asked. At 0.9 one mirrored log in ten passes unasked.
-SURE = 0.95
-# Independent samples of a motion whose record may be long but has few manoeuvres; all evidence
-# grows with it.
-INDEPENDENT = 30
-# Share that two slow drifts often explain of each other (Granger and Newbold 1974).
-SPURIOUS = 0.8
-# Share of a motion that signals explain which only go with it.
-RIVAL = 0.97
-# Relative error of a slope: calibration, currents, and 1/cos of a pitch of 14 degrees.
-SLOPE = 0.03
-# Nats that a name, a convention that most loggers keep, and a format's own definition are worth.
-NAMED, USUAL, DEFINED = 4.0, 2.5, 12.0
 # Roles of measured motion, and of commands.
 MOTION = ("psi", "r", "phi", "p", "theta", "q", "u", "v", "w", "x", "y", "z")
 COMMANDS = ("rudder", "rpm", "thrust")
@@ -180,21 +181,6 @@ def _reach(values: np.ndarray, unit: str) -> str:
     return f"{good.min():.4g} to {good.max():.4g} {unit}" if good.size else "no number"
 
 
-@dataclass(frozen=True, eq=False)
-class _Field:
-    """One field on the common grid."""
-
-    name: str
-    values: np.ndarray = field(repr=False)  # unwrapped, as logged
-    stated: str  # unit; empty where nobody says it
-    wraps: bool
-    low: float  # smallest reading
-    hint: str  # role that its name means
-    weight: float  # nats that the name is worth
-    held: bool  # whether it mostly stays at one value
-    jumps: float  # period of its jumps in its own unit, or 0
-
-
 def recognise(log: Log) -> Recognised:
     """Say what the fields of a log are.
 
@@ -224,121 +210,8 @@ def recognise(log: Log) -> Recognised:
     units = TIMES if log.clock_unit is None else (log.clock_unit,)
     works = [_Work(log, unit) for unit in units]
     best = max(works, key=lambda one: one.score)
-    chance = _chances([one.score for one in works])[works.index(best)]
+    chance = chances([one.score for one in works])[works.index(best)]
     return best.result(("unit",) * bool(chance < SURE))
-
-
-# -- the log on a grid -------------------------------------------------------------------
-
-
-def _usable(log: Log) -> list[Series]:
-    """Fields that change and are no clock."""
-    found = []
-    for one in log.series:
-        good = np.isfinite(one.values)
-        clock = log.clock and one.name.endswith(f".{log.clock}")
-        if good.sum() > 4 and np.ptp(one.values[good]) > 0.0 and not clock:
-            found.append(one)
-    return found
-
-
-def _gridded(log: Log, factor: float) -> tuple[np.ndarray, list[_Field]]:
-    """Times ``(n,)`` in s, and means of all fields over blocks about them."""
-    every = _usable(log)
-    if len(every) > 48:  # those with meaningful names first: work grows with their square
-        every = sorted(every, key=lambda one: -meaning(one.name)[1])[:48]
-    if not every:
-        return np.arange(2.0), []
-    first = max(one.span[0] for one in every)
-    last = min(one.span[1] for one in every)
-    if not last > first:
-        first, last = log.span
-    # Rates and positions are integrals: more means than these would only cost time.
-    rows = int(np.clip(max(one.times.size for one in every), 16, 1500))
-    times = np.linspace(first, last, rows)
-    return times * factor, [_field(one, times) for one in every]
-
-
-def _field(series: Series, times: np.ndarray) -> _Field:
-    good = np.isfinite(series.values)
-    at, values = series.times[good], series.values[good]
-    wraps = clear_wraps(values)
-    jumps = 0.0 if wraps is None else wraps[0]
-    smooth = unwrapped(values, period=jumps) if jumps else values
-    role, letters = meaning(series.name)
-    defined = symbol_of(series.name, by_name=False)
-    stated = series.unit if series.unit and is_unit(series.unit) else ""
-    kept = float(np.mean(np.diff(values) == 0.0)) if values.size > 1 else 1.0
-    return _Field(
-        series.name,
-        _block_means(at, smooth, times),
-        stated,
-        jumps > 0.0,
-        float(values.min()),
-        defined or role,
-        DEFINED if defined else NAMED * min(letters / 4.0, 1.0),
-        kept > 0.5,
-        jumps,
-    )
-
-
-def _block_means(at: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Means of a series over blocks about the times of the grid, by its integral."""
-    half = 0.5 * (times[1] - times[0])
-    if at.size <= times.size:
-        return np.interp(times, at, values)
-    whole = _integrals(at, values[:, None])[:, 0]
-    low, high = np.maximum(times - half, at[0]), np.minimum(times + half, at[-1])
-    width = np.maximum(high - low, 1e-12)
-    return (np.interp(high, at, whole) - np.interp(low, at, whole)) / width
-
-
-def _integrals(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Cumulative integrals of columns ``(n, k)``, by trapezia."""
-    steps = np.diff(times)[:, None] * 0.5 * (columns[1:] + columns[:-1])
-    return np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(steps, axis=0)])
-
-
-def _line(by: np.ndarray, series: np.ndarray) -> tuple[float, float]:
-    """Share of a series that a multiple of another explains, and the factor; both without mean."""
-    power, both = float(by @ by), float(by @ series)
-    return both**2 / max(power * float(series @ series), 1e-300), both / max(power, 1e-300)
-
-
-@cache
-def _factor(unit: str) -> float:
-    """A unit in SI."""
-    return float(to_si(1.0, unit)[0])
-
-
-def _explained(share: float) -> float:
-    """Nats of a share of variance that is explained, above what drifts explain of each other."""
-    left = np.clip((1.0 - share) / (1.0 - SPURIOUS), 1e-4, 1.0)
-    return -0.5 * INDEPENDENT * float(np.log(left))
-
-
-def _match(slope: float, ratio: float, error: float = SLOPE) -> float:
-    """Nats by which a slope is that of two units, against one that may be any within a decade."""
-    away = np.log(max(abs(slope), 1e-30) / ratio) / error
-    density = np.log(np.log(10.0) / (error * np.sqrt(TURN)))
-    return float(max(density - 0.5 * away**2, -10.0))
-
-
-def _certain(share: float, match: float, named: float) -> bool:
-    """Whether a field is what it is taken for, and not another that goes with the motion.
-
-    Its name says so; or, where its name says nothing else, it explains more than others do that go
-    with the motion (a sway velocity follows the yaw rate in slow turns, and a rudder the sway),
-    with the slope of two units, where any slope would be as likely.
-    """
-    odds = float(np.clip(_explained(share) - _explained(RIVAL), -NAMED, NAMED)) + match
-    return bool(named > 0.0 or (named == 0.0 and odds > np.log(SURE / (1.0 - SURE))))
-
-
-def _chances(scores: Sequence[float]) -> np.ndarray:
-    """Probabilities of alternatives with scores in nats."""
-    weights = np.exp(np.array(scores) - max(scores))
-    return weights / weights.sum()
 
 
 # -- the likeliest roles -----------------------------------------------------------------
@@ -346,137 +219,87 @@ def _chances(scores: Sequence[float]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Angle:
-    """An angle and its rate: indices of fields (-1 without a rate), units, sign of the slope."""
+    """A field as an angle, and the one that is its rate, if there is one."""
 
-    angle: int
-    unit: str
-    rate: int
-    rate_unit: str
-    sign: int
-    score: float
-    sure: bool = True  # that it is the rate, and not another field that goes with the motion
+    angle: Reading = NOTHING
+    rate: Reading = NOTHING
+
+    @property
+    def score(self) -> float:
+        """Nats of both."""
+        return self.angle.score + self.rate.score
 
 
 @dataclass(frozen=True)
 class _Plane:
     """Positions by heading and speed: indices, units, directions in rad against the heading."""
 
-    speed: int
-    speed_unit: str
-    axes: tuple[int, int]
-    unit: str
-    directions: tuple[float, float]
-    score: float
+    speed: int = -1
+    speed_unit: str = ""
+    axes: tuple[int, int] = (-1, -1)
+    unit: str = ""
+    directions: tuple[float, float] = (0.0, 0.0)
+    score: float = 0.0
     doubts: tuple[str, ...] = ()  # about the speed
     scaled: bool = True  # whether the unit of the positions is sure
     told: float = 0.0  # nats of what the motion explains alone
     pace: float = 0.0  # positions' change for one of the speed
 
 
-class _Row(NamedTuple):
-    """One reading of one field: nats, index, unit, sign, whether it is this field for certain."""
-
-    score: float
-    at: int
-    unit: str
-    sign: int
-    sure: bool
-    doubts: tuple[str, ...] = ()
-
-
-def _likeliest(rows: Sequence[_Row]) -> _Row:
-    """The best of several rows, with what is not sure of it: its unit, and whether it is meant."""
-    best = max(rows)
-    units = _chances([row.score for row in rows if row.at == best.at])
-    doubts = ("unit",) * bool(units.max() < SURE) + ("field",) * (not best.sure)
-    return best._replace(doubts=doubts)
-
-
-# None of them.
-_STILL = _Angle(-1, "", -1, "", 1, 0.0)
-_NOWHERE = _Plane(-1, "", (-1, -1), "", (0.0, 0.0), 0.0)
-_LEVEL = _Row(0.0, -1, "", 0, True)
-
-
-def _indices(one: _Angle, more: _Plane | _Row) -> list[int]:
-    """Fields that an angle, its rate and what it explains take."""
-    theirs = [more.speed, *more.axes] if isinstance(more, _Plane) else [more.at]
-    return [i for i in (one.angle, one.rate, *theirs) if i >= 0]
-
-
-def _apart(indices: Iterable[int]) -> bool:
-    """Whether no field is taken twice."""
-    taken = list(indices)
+def _apart(row: Sequence[tuple[float, _Angle, _Plane | Reading]]) -> bool:
+    """Whether no field is taken twice by angles, their rates and what they explain."""
+    taken = list[int]()
+    for _, one, more in row:
+        theirs = [more.speed, *more.axes] if isinstance(more, _Plane) else [more.at]
+        taken += [i for i in (one.angle.at, one.rate.at, *theirs) if i >= 0]
     return len(set(taken)) == len(taken)
 
 
 class _Work:
-    """One log read with one unit of time: fields on a grid, and the likeliest roles."""
+    """One log read with one unit of time, and the likeliest roles of its fields.
+
+    Attributes
+    ----------
+    score : float
+        Nats of this unit of time.
+    found : dict
+        Guesses by role.
+    at : dict
+        Indices of their fields.
+    """
 
     def __init__(self, log: Log, time_unit: str) -> None:
-        self.time_unit = time_unit
-        self.times, self.fields = _gridded(log, _factor(time_unit) / _factor(log.clock_unit or "s"))
+        self.time_unit, self.fields = time_unit, Fields(log, time_unit)
         self.found: dict[str, Guess] = {}
-        self.used: set[int] = set()
+        self.at: dict[str, int] = {}
         # Asked again and again of the same fields.
-        self.options, self.pairs = cache(self._options), cache(self._pairs)
-        self.plane_of = cache(self._plane_of)
-        step = float(np.median(np.diff(self.times)))
+        self.pairs, self.plane_of = cache(self._pairs), cache(self._plane_of)
+        step = float(np.median(np.diff(self.fields.times)))
         # Vehicles are logged some times in a second to some times in a minute.
         self.score = TIMES.get(time_unit, 0.0) - 0.5 * float(np.log(step / 0.5) / 2.5) ** 2
-        if self.fields:
-            self.columns = np.stack([one.values for one in self.fields], axis=1)
-            self.sums = self._free(_integrals(self.times, self.columns))
-            self.free = self._free(self.columns)
-            self._rotations()
-            self._rest()
+        self._rotations()
+        self._rest()
 
-    def _free(self, columns: np.ndarray) -> np.ndarray:
-        """Columns without their mean and trend."""
-        base = np.column_stack([np.ones_like(self.times), self.times - self.times.mean()])
-        base = np.linalg.qr(base)[0]
-        return np.asarray(columns - base @ (base.T @ columns))
-
-    def _options(self, index: int, role: str) -> dict[str, float]:
-        """Units in which a field may be that of a role, with their nats."""
-        one = self.fields[index]
-        needed, size, spread = TABLE["roles"][role]
-        if one.stated:
-            units = {one.stated: 0.0} if converts(one.stated, needed) else {}
-        elif one.wraps:
-            unit = "rad" if one.jumps == TURN else "deg"
-            units = {unit: 0.0} if role in ("psi", "phi") else {}
-        else:
-            units = TABLE["written"][needed]
-        named = self._named(index, role) + USUAL * bool(one.wraps and role == "psi")
-        mean = 0.0 if needed in ("rad", "m") else float(one.values.mean())
-        own = float(np.hypot(one.values.std(), mean))
-
-        def worth(unit: str) -> float:
-            away = np.log(own * _factor(unit) / size) / spread
-            return named - 0.5 * float(away) ** 2
-
-        return {unit: nats + worth(unit) for unit, nats in units.items()}
+    def _named(self, index: int, role: str) -> float:
+        """Nats that a field's name is worth for a role; nothing where there is no field."""
+        return self.fields.every[index].named(role) if index >= 0 else 0.0
 
     def _pairs(self, role: str) -> list[_Angle]:
         """Angles with their rates, and angles without one, that may be of a role; best first."""
-        found = [one for a in self.open_to(role) for one in self._angles(a, role)]
+        found = [one for a in self.fields.open_to(role) for one in self._angles(a, role)]
         return sorted(found, key=lambda one: -one.score)
 
     def _angles(self, a: int, role: str) -> Iterator[_Angle]:
         """A field as an angle: without a rate, and with each that may be its rate."""
-        for unit, score in self.options(a, role).items():
-            yield _Angle(a, unit, -1, "", 1, score)
-            for b in self.open_to(RATES[role]):
-                share, slope = _line(self.sums[:, b], self.free[:, a])
-                if a == b or share < SPURIOUS:
-                    continue
-                for by, more in self.options(b, RATES[role]).items():
-                    fits = _match(slope, _factor(by) / _factor(unit))
-                    sure = _certain(share, fits, self._named(b, RATES[role]))
-                    if fits > -4.0:
-                        total = score + more + fits + _explained(share)
-                        yield _Angle(a, unit, b, by, int(np.sign(slope)), total, sure)
+        fields, rate = self.fields, RATES[role]
+        lines = {b: line(fields.sums[:, b], fields.free[:, a]) for b in fields.open_to(rate)}
+        for unit, nats in fields.options(a, role).items():
+            angle = Reading(nats, a, unit)
+            yield _Angle(angle)
+            for b, (share, slope) in lines.items():
+                if a != b and share >= SPURIOUS:
+                    rows = fields.readings(b, rate, share, slope * factor(unit))
+                    yield from (_Angle(angle, row) for row in rows if row.fits > -4.0)
 
     # -- heading, yaw rate, speed and positions; attitudes --
 
@@ -489,69 +312,61 @@ class _Work:
         rows = [
             (sum(score for score, _, _ in row), row)
             for row in product(*map(self._turning, RATES))
-            if _apart(i for _, one, more in row for i in _indices(one, more))
+            if _apart(row)
         ]
         rows.sort(key=lambda one: -one[0])
-        score, (psi, phi, theta) = rows[0]
+        score, best = rows[0]
         self.score += score
         doubts = {
-            role: ("field",) * (not self._alone(role, index, rows))
-            for index, role in enumerate(RATES)
-        }
-        if psi[1].angle >= 0:
-            asked = self._unit_doubts("psi", psi[1]) + doubts["psi"]
-            self._senses(psi[1], psi[2], asked)
-        for role, (_, angle, dive) in (("theta", theta), ("phi", phi)):
-            if angle.angle >= 0:
-                self._attitude(role, angle, doubts[role], dive)
-        if psi[2].axes[0] >= 0:
-            self._sway(psi[2])
+            # Whether another field could as well be the angle of this role.
+            role: ("field",) * (not alone(score, (s for s, row in rows
+                                                  if row[index][1].angle.at != one.angle.at)))
+            for index, (role, (_, one, _)) in enumerate(zip(RATES, best, strict=True))
+            if one.angle.at >= 0
+        }  # fmt: skip
+        (_, psi, plane), (_, phi, level), (_, theta, dive) = best
+        if "psi" in doubts:
+            self._senses(psi, plane, self._unit_doubts("psi", psi) + doubts["psi"])
+        for role, angle, more in (("theta", theta, dive), ("phi", phi, level)):
+            if role in doubts:
+                self._attitude(role, angle, doubts[role], more)
+        if plane.axes[0] >= 0:
+            self._sway(plane)
 
     def _turning(self, role: str) -> list[tuple[float, _Angle, Any]]:
         """Angles of a role, what they explain, and nats of both; first that there is none."""
-        ways: dict[str, tuple[Any, float, Callable[[_Angle], Any]]] = {
-            "psi": (_NOWHERE, NAMED - 2.0, self._plane),
-            "phi": (_LEVEL, 1.5 * USUAL, lambda one: _LEVEL),
-            "theta": (_LEVEL, 1.5 * USUAL, self._dive),
-        }
-        nothing, least, explained = ways[role]
-        rows = [(one, explained(one)) for one in self._some(role)]
+        nothing, least = (_Plane(), NAMED - 2.0) if role == "psi" else (NOTHING, 1.5 * USUAL)
+        explains: Any = {"psi": self._plane, "theta": self._dive}.get(role, lambda one: nothing)
+        rows = ((one, explains(one)) for one in self._some(role))
         found = [(one.score + more.score, one, more) for one, more in rows]
-        return [(0.0, _STILL, nothing), *(row for row in found if row[0] > least)]
+        return [(0.0, _Angle(), nothing), *(row for row in found if row[0] > least)]
 
     def _some(self, role: str) -> list[_Angle]:
         """The likeliest angles of a role, each with its likeliest rates and with none."""
         seen: Counter[tuple[int, bool]] = Counter()
         found = []
         for one in self.pairs(role):
-            seen[one.angle, one.rate < 0] += 1
-            if seen[one.angle, one.rate < 0] <= 2:
+            kind = one.angle.at, one.rate.at < 0
+            seen[kind] += 1
+            if seen[kind] <= 2:
                 found.append(one)
         return found[:12]
 
-    def _alone(self, role: str, index: int, rows: Sequence[tuple[float, Any]]) -> bool:
-        """Whether no other field could as well be the angle of a role."""
-        score, best = rows[0]
-        if best[index][1].angle < 0:
-            return True
-        others = [s for s, row in rows if row[index][1].angle != best[index][1].angle]
-        return bool(_chances([score, max(others, default=score - 99.0)])[0] > SURE)
-
     def _unit_doubts(self, role: str, angle: _Angle) -> tuple[str, ...]:
         """Whether other units explain as much."""
-        same = [
-            p for p in self.pairs(role) if (p.angle, p.rate) == (angle.angle, angle.rate)
-        ]  # fmt: skip
+        where = angle.angle.at, angle.rate.at
+        same = [one for one in self.pairs(role) if (one.angle.at, one.rate.at) == where]
         scores = [p.score + (self._plane(p).score if role == "psi" else 0.0) for p in same]
-        return ("unit",) * bool(_chances(scores)[same.index(angle)] < SURE)
+        return ("unit",) * bool(chances(scores)[same.index(angle)] < SURE)
 
     def _plane(self, angle: _Angle) -> _Plane:
         """Positions that an angle explains, with the speed that does it best."""
-        return self.plane_of(angle.angle, angle.unit, angle.rate)
+        return self.plane_of(angle.angle.at, angle.angle.unit, angle.rate.at)
 
     def _plane_of(self, angle: int, unit: str, rate: int) -> _Plane:
-        taken, psi = {angle, rate}, self.columns[:, angle] * _factor(unit)
-        speeds = [i for i in self.open_to("u") if i not in taken and self.options(i, "u")]
+        fields, taken = self.fields, {angle, rate}
+        psi = fields.columns[:, angle] * factor(unit)
+        speeds = [i for i in fields.open_to("u") if i not in taken and fields.options(i, "u")]
         steady = self._along(psi, -1, taken)
         found = [self._along(psi, s, taken | {s}) for s in speeds]
         # What hardly changes explains as much as a steady speed does, whatever it is.
@@ -562,29 +377,26 @@ class _Work:
         ]
         return max([steady, *better], key=lambda one: one.score)
 
-    def open_to(self, role: str) -> list[int]:
-        """Fields whose names do not say that they are something else."""
-        return [i for i, one in enumerate(self.fields) if one.hint in ("", role)]
-
     def _along(self, psi: np.ndarray, speed: int, taken: set[int]) -> _Plane:
         """The two fields that are the positions of a motion along a heading, if there are two."""
-        size = self.columns[:, speed] if speed >= 0 else np.ones_like(psi)
+        fields = self.fields
+        size = fields.columns[:, speed] if speed >= 0 else np.ones_like(psi)
         turned = np.column_stack([size * np.cos(psi), size * np.sin(psi)])
-        base = self._free(_integrals(self.times, turned))
-        slopes, *_ = np.linalg.lstsq(base, self.free, rcond=1e-6)
-        power = np.sum(self.free**2, axis=0)
-        left = np.sum((self.free - base @ slopes) ** 2, axis=0)
+        base = fields.detrended(integrals(fields.times, turned))
+        slopes, *_ = np.linalg.lstsq(base, fields.free, rcond=1e-6)
+        power = np.sum(fields.free**2, axis=0)
+        left = np.sum((fields.free - base @ slopes) ** 2, axis=0)
         shares = 1.0 - left / np.maximum(power, 1e-300)
         axes = [
             i
             for i in np.argsort(-shares)[:8].tolist()
-            if i not in taken and shares[i] > SPURIOUS and self.options(i, "x")
+            if i not in taken and shares[i] > SPURIOUS and fields.options(i, "x")
         ]
         rows = [self._axes(speed, pair, slopes, shares) for pair in permutations(axes[:5], 2)]
         found = max((row for row in rows if row), key=lambda one: one.score, default=None)
         # One axis alone moves with the heading too, but does not say which it is.
-        named = [_explained(float(shares[i])) for i in axes if self.fields[i].hint in ("x", "y")]
-        return found or replace(_NOWHERE, score=max(named, default=0.0))
+        named = [explained(float(shares[i])) for i in axes if fields.every[i].hint in ("x", "y")]
+        return found or _Plane(score=max(named, default=0.0))
 
     def _axes(
         self, speed: int, pair: tuple[int, int], slopes: np.ndarray, shares: np.ndarray
@@ -595,107 +407,96 @@ class _Work:
         size = float(np.sqrt(np.prod([np.hypot(*slopes[:, i]) for i in pair])))
         if one > other or abs(np.cos(ways[0] - ways[1])) > 0.2 or size <= 0.0:
             return None
-        told = sum(_explained(float(shares[i])) for i in pair)
+        told = sum(explained(float(shares[i])) for i in pair)
         rows = list(self._units(speed, pair, size, told))
         if not rows or max(rows)[0] <= 0.0:
             return None
         score, unit, by, fits = max(rows)
-        chances = _chances([row[0] for row in rows])
+        odds = chances([row[0] for row in rows])
 
         def sure_of(column: int, value: str) -> bool:
-            same = (c for c, row in zip(chances, rows, strict=True) if row[column] == value)
+            same = (c for c, row in zip(odds, rows, strict=True) if row[column] == value)
             return bool(sum(same) > SURE)
 
         share = float(min(shares[i] for i in pair))
-        sure = bool(by) and _certain(share, fits, self._named(speed, "u"))
+        sure = bool(by) and certain(share, fits, self._named(speed, "u"))
         doubts = ("unit",) * (not sure_of(2, by)) + ("field",) * (not sure)
         # Any field that hardly changes does for a speed; only a sure one gives the unit of the way.
         score -= USUAL * (not sure and bool(by))
-        scaled = bool(self.fields[one].stated) or (sure and sure_of(1, unit))
+        scaled = bool(self.fields.every[one].stated) or (sure and sure_of(1, unit))
         return _Plane(speed, by, pair, unit, (ways[0], ways[1]), score, doubts, scaled, told, size)
 
     def _units(
         self, speed: int, pair: tuple[int, int], size: float, told: float
     ) -> Iterator[tuple[float, str, str, float]]:
         """Nats by unit of the positions and of the speed, and what the size of the slope adds."""
-        theirs = self.options(speed, "u") if speed >= 0 else {"": 0.0}
-        ahead, abeam = self.options(pair[0], "x"), self.options(pair[1], "y")
+        options = self.fields.options
+        theirs = options(speed, "u") if speed >= 0 else {"": 0.0}
+        ahead, abeam = options(pair[0], "x"), options(pair[1], "y")
         for unit, by in product((one for one in ahead if one in abeam), theirs):
             # Without a speed any size of the slope will do, and anything may drive the motion.
-            fits = _match(size, _factor(by) / _factor(unit)) if by else 0.0
+            fits = match(size, factor(by) / factor(unit)) if by else 0.0
             yield told + ahead[unit] + abeam[unit] + theirs[by] + fits, unit, by, fits
-
-    def _named(self, index: int, role: str) -> float:
-        """Nats that a field's name is worth for a role."""
-        one = self.fields[index]
-        return one.weight if one.hint == role else -one.weight if one.hint else 0.0
 
     def _senses(self, angle: _Angle, plane: _Plane, doubts: tuple[str, ...]) -> None:
         """Which way a heading counts, which axis is north, and the signs that follow."""
+        psi, rate = angle.angle, angle.rate
+        one = self.fields.every[psi.at]
         rows = list(self._worlds(angle, plane))
         if not rows:  # axes that stand askew to the heading
-            plane = _NOWHERE
+            plane = _Plane()
             rows = list(self._worlds(angle, plane))
-        chances = _chances([score for score, _ in rows])
-        best = rows[int(np.argmax(chances))][1]
+        odds = chances([score for score, _ in rows])
+        best = rows[int(np.argmax(odds))][1]
 
-        def sure(*keys: str) -> bool:
-            same = [c for c, (_, row) in zip(chances, rows, strict=True)
+        def unsure(*keys: str) -> tuple[str, ...]:
+            """A doubt of the sign where worlds that agree in this are not sure together."""
+            same = [c for c, (_, row) in zip(odds, rows, strict=True)
                     if all(row.get(k) == best.get(k) for k in keys)]  # fmt: skip
-            return bool(sum(same) > SURE)
+            return ("sign",) * bool(sum(same) <= SURE)
 
-        one = self.fields[angle.angle]
-        turn = 0.25 * TURN / _factor(angle.unit)
-        unsure = ("sign",) * (not sure("sense"))
-        reach = float(np.ptp(one.values)) * _factor(angle.unit)
+        turn = 0.25 * TURN / factor(psi.unit)
+        reach = float(np.ptp(one.values)) * factor(psi.unit)
         self._take(
-            "psi", angle.angle, angle.unit, -1 if best["sense"] else 1, (*doubts, *unsure),
-            self._why(angle, plane), wrap=one.wraps or reach < TURN,
+            "psi", psi, -1 if best["sense"] else 1, (*doubts, *unsure("sense")),
+            self._why(angle, plane), wrap=one.jumps > 0.0 or reach < TURN,
             trim=turn if best["sense"] == 2 else 0.0,
         )  # fmt: skip
-        if angle.rate >= 0:
-            turned = ("sign",) * (not sure("r"))
-            units = (*(d for d in doubts if d == "unit"), *("field",) * (not angle.sure))
-            said = f"it is the rate of {one.name}"
-            self._take("r", angle.rate, angle.rate_unit, best["r"], (*units, *turned), said)
+        units = (*(d for d in doubts if d == "unit"), *("field",) * (not rate.sure))
+        self._take("r", rate, best["r"], (*units, *unsure("r")), f"it is the rate of {one.name}")
         for role in "xy" if plane.axes[0] >= 0 else "":
             # Another world often means the other axis; the log of a sure one says its names.
             asked = ("unit",) * (not plane.scaled)
-            asked += ("field", "sign") * (not sure(role, f"{role} sign"))
-            said = f"it follows {one.name}"
-            self._take(role, best[role], plane.unit, best[f"{role} sign"], asked, said)
-        if plane.speed >= 0:
-            asked = (*plane.doubts, *("sign",) * (not sure("u sign")))
-            said = "the positions move as fast"
-            self._take("u", plane.speed, plane.speed_unit, best["u sign"], asked, said)
+            asked += ("field", "sign") * bool(unsure(role, f"{role} sign"))
+            found = Reading(0.0, best[role], plane.unit)
+            self._take(role, found, best[f"{role} sign"], asked, f"it follows {one.name}")
+        asked = (*plane.doubts, *unsure("u sign"))
+        speed = Reading(0.0, plane.speed, plane.speed_unit)
+        self._take("u", speed, best.get("u sign", 1), asked, "the positions move as fast")
 
     def _why(self, angle: _Angle, plane: _Plane) -> str:
         """What told a heading."""
-        one, why = self.fields[angle.angle], []
-        if one.wraps:
+        one, why = self.fields.every[angle.angle.at], []
+        if one.jumps:
             why.append(f"it jumps by a turn of {'360 deg' if one.jumps > 7 else '2 pi rad'}")
-        if angle.rate >= 0:
-            why.append(f"is the integral of {self.fields[angle.rate].name}")
+        if angle.rate.at >= 0:
+            why.append(f"is the integral of {self.fields.every[angle.rate.at].name}")
         if plane.axes[0] >= 0:
             why.append("is the direction in which the positions move")
         return ", and ".join(why) or "its name and size"
 
     def _worlds(self, angle: _Angle, plane: _Plane) -> Iterator[tuple[float, dict[str, int]]]:
         """Ways in which a heading may count (clockwise, back, from east), with their nats."""
-        one = self.fields[angle.angle]
+        one, turning = self.fields.every[angle.angle.at], angle.rate.sign
         # A compass counts 0 to 360 clockwise; a yaw angle may be of east-north-up.
         is_compass = meaning(one.name)[0] == "psi" and "compass" in groups_of(one.name)
         compass = (one.jumps == 360.0 and one.low >= 0.0) + NAMED * is_compass
         for sense, nats in ((0, compass), (1, -3.0), (2, -1.5)):
-            way = 1 if sense == 0 else -1
-            r = angle.sign * way
+            r = turning if sense == 0 else -turning
             # Of a compass the rate may be port positive; in east-north-up both count alike.
-            base = nats - 2.0 * (sense == 0 and r < 0) - 3.0 * (sense == 2 and angle.sign < 0)
-            if plane.axes[0] < 0:
-                yield base, {"sense": sense, "r": r}
-                continue
-            for score, row in self._ground(plane, sense):
-                yield base + score, {"sense": sense, "r": r} | row
+            base = nats - 2.0 * (sense == 0 and r < 0) - 3.0 * (sense == 2 and turning < 0)
+            ground = self._ground(plane, sense) if plane.axes[0] >= 0 else [(0.0, {})]
+            yield from ((base + score, {"sense": sense, "r": r} | row) for score, row in ground)
 
     def _ground(self, plane: _Plane, sense: int) -> Iterator[tuple[float, dict[str, int]]]:
         """Which field is north, which east, and the signs that a sense of the heading allows."""
@@ -711,9 +512,9 @@ class _Work:
                 continue
             score = -USUAL * sum(s < 0 for s in signs)
             if plane.speed >= 0:
-                score += 3.0 * su * float(np.sign(self.columns[:, plane.speed].mean()))
+                score += 3.0 * su * float(np.sign(self.fields.columns[:, plane.speed].mean()))
             for (i, _), role, other, sign in zip(pair, "xy", "yx", signs, strict=True):
-                named = self.fields[i]
+                named = self.fields.every[i]
                 # What is called east does not count to the west.
                 score += sign * named.weight if named.hint == role else 0.0
                 score -= named.weight if named.hint == other else 0.0
@@ -721,22 +522,21 @@ class _Work:
             yield score, {"x": x, "y": y, "x sign": signs[0], "y sign": signs[1], "u sign": su}
 
     def _take(
-        self, role: str, index: int, unit: str, sign: int, doubts: Sequence[str], why: str,
+        self, role: str, one: Reading, sign: int, doubts: Sequence[str], why: str,
         *, wrap: bool = False, trim: float = 0.0,
     ) -> None:  # fmt: skip
-        """Give a field a role."""
-        self.used.add(index)
-        asked = tuple(dict.fromkeys(doubts))
-        name = self.fields[index].name
-        self.found[role] = Guess(role, name, unit, sign, wrap, trim, asked, why)
+        """Give a field, if there is one, a role."""
+        if one.at >= 0:
+            self.at[role], asked = one.at, tuple(dict.fromkeys(doubts))
+            name = self.fields.every[one.at].name
+            self.found[role] = Guess(role, name, one.unit, sign, wrap, trim, asked, why)
 
     def series(self, role: str) -> np.ndarray | None:
         """A role that was found for certain, SI ``(n,)``."""
         one = self.found.get(role)
         if one is None or "field" in one.doubts:
             return None
-        index = next(i for i, f in enumerate(self.fields) if f.name == one.field)
-        raw = self.columns[:, index] - one.trim
+        raw = self.fields.columns[:, self.at[role]] - one.trim
         return np.asarray(one.sign * to_si(raw, one.unit)[0])
 
     def _sway(self, plane: _Plane) -> None:
@@ -745,20 +545,16 @@ class _Work:
         if psi is None or x is None or y is None:
             return
         if u is None:
-            u = np.full_like(psi, plane.pace * _factor(plane.unit))
-        theta = self.series("theta")
+            u = np.full_like(psi, plane.pace * factor(plane.unit))
+        theta, summed = self.series("theta"), self.fields.summed
         u = u if theta is None else u * np.cos(theta)
-        ahead = np.concatenate([self._sum(u * np.cos(psi)), self._sum(u * np.sin(psi))])
-        moved = np.concatenate([self._free(x[:, None])[:, 0], self._free(y[:, None])[:, 0]])
+        ahead = np.concatenate([summed(u * np.cos(psi)), summed(u * np.sin(psi))])
+        moved = np.concatenate([*map(self.fields.detrended, (x, y))])
 
         def abeam(v: np.ndarray) -> np.ndarray:
-            return np.concatenate([self._sum(-v * np.sin(psi)), self._sum(v * np.cos(psi))])
+            return np.concatenate([summed(-v * np.sin(psi)), summed(v * np.cos(psi))])
 
         self._explain("v", moved, ahead, abeam, "the positions drift with it")
-
-    def _sum(self, rate: np.ndarray) -> np.ndarray:
-        """Integral of a rate, without mean and trend ``(n,)``."""
-        return np.asarray(self._free(_integrals(self.times, rate[:, None]))[:, 0])
 
     def _explain(
         self, role: str, target: np.ndarray, base: np.ndarray,
@@ -768,48 +564,40 @@ class _Work:
 
         ``moves`` makes of a field's values the motion that they would add to that of ``base``.
         """
-        rows = [
+        rows = self._same_units(role, [
             row
-            for i in self.open_to(role)
-            if i not in self.used
-            for row in self._added(i, role, target, base, moves(self.columns[:, i]))
-        ]
-        rows = self._same_units(role, rows)
+            for i in self.fields.open_to(role)
+            if i not in self.at.values()
+            for row in self._added(i, role, target, base, moves(self.fields.columns[:, i]))
+        ])  # fmt: skip
         if not rows or max(rows).score < NAMED:
             return
-        best = _likeliest(rows)
-        rivals = (row.score for row in rows if row.at != best.at)
-        alone = _chances([best.score, max(rivals, default=best.score - 99.0)])[0]
-        doubts = (*best.doubts, *("field",) * bool(alone < SURE))
+        best = likeliest(rows)
+        sole = alone(best.score, (row.score for row in rows if row.at != best.at))
+        doubts = (*best.doubts, *("field",) * (not sole))
         # Sway counts with the heading, heave with the pitch.
         leading = self.found.get({"v": "psi", "w": "theta"}.get(role, ""))
         doubts += ("sign",) * (role in "vw" and (leading is None or "sign" in leading.doubts))
         # What explains a motion in a unit that is in doubt is itself in doubt.
         bases = (self.found.get(one) for one in {"v": "uxy", "w": "uz"}.get(role, ""))
         doubts += ("unit",) * any(one is not None and "unit" in one.doubts for one in bases)
-        self._take(role, best.at, best.unit, best.sign, doubts, why)
+        self._take(role, best, best.sign, doubts, why)
 
     def _added(
         self, i: int, role: str, target: np.ndarray, base: np.ndarray, column: np.ndarray
-    ) -> list[_Row]:
+    ) -> Iterator[Reading]:
         """What a field explains of what ``base`` leaves of a motion, by unit."""
         both = np.column_stack([base, column])
-        left = target - base * _line(base, target)[1]
+        left = target - base * line(base, target)[1]
         solution = np.linalg.lstsq(both, target, rcond=1e-9)[0]
         rest, slope = target - both @ solution, float(solution[-1])
         share = 1.0 - float(rest @ rest) / max(float(left @ left), 1e-300)
-        rows = []
-        for unit, nats in self.options(i, role).items():
-            # A small part of the motion is known less well than the whole.
-            fits = _match(slope, _factor(unit), 0.15)
-            score = nats + _explained(share) + fits
-            sure = _certain(share, fits, self._named(i, role))
-            rows.append(_Row(score, i, unit, int(np.sign(slope) or 1), sure))
-        return rows if share > 0.3 else []
+        if share > 0.3:  # a small part of the motion is known less well than the whole
+            yield from self.fields.readings(i, role, share, slope, 0.15)
 
     # -- pitch, roll, depth --
 
-    def _attitude(self, role: str, one: _Angle, doubts: tuple[str, ...], dive: _Row) -> None:
+    def _attitude(self, role: str, one: _Angle, doubts: tuple[str, ...], dive: Reading) -> None:
         """Take an angle and its rate, and with a pitch the depth."""
         doubts = (*doubts, *self._unit_doubts(role, one))
         if dive.at >= 0:
@@ -817,37 +605,34 @@ class _Work:
             dive = again if again.at >= 0 else dive
         worlds = list(self._ways(role, one, dive))
         scores = [w[0] for w in worlds]
-        unsure = ("sign",) * bool(max(_chances(scores)) < SURE)
+        unsure = ("sign",) * bool(max(chances(scores)) < SURE)
         _, angle, turning, z = max(worlds)
-        told = "its name and size"
-        if self._named(one.angle, role) <= 0.0:  # which axis it is, no equation tells for sure
+        if self._named(one.angle.at, role) <= 0.0:  # which axis, no equation tells for sure
             doubts = (*doubts, "field")
-        if one.rate >= 0:
-            told = f"it is the integral of {self.fields[one.rate].name}"
-            said = f"it is the rate of {self.fields[one.angle].name}"
-            asked = (*doubts, *unsure, *("field",) * (not one.sure))
-            self._take(RATES[role], one.rate, one.rate_unit, turning, asked, said)
-        self._take(role, one.angle, one.unit, angle, (*doubts, *unsure), told)
-        if dive.at >= 0:
-            said = f"it changes with {self.fields[one.angle].name}"
-            self._take("z", dive.at, dive.unit, z, (*dive.doubts, *unsure), said)
+        called, told = self.fields.every[one.angle.at].name, "its name and size"
+        if one.rate.at >= 0:
+            told = f"it is the integral of {self.fields.every[one.rate.at].name}"
+        asked = (*doubts, *unsure, *("field",) * (not one.rate.sure))
+        self._take(RATES[role], one.rate, turning, asked, f"it is the rate of {called}")
+        self._take(role, one.angle, angle, (*doubts, *unsure), told)
+        self._take("z", dive, z, (*dive.doubts, *unsure), f"it changes with {called}")
 
-    def _ways(self, role: str, one: _Angle, dive: _Row) -> Iterator[tuple[float, int, int, int]]:
+    def _ways(self, role: str, one: _Angle, dive: Reading) -> Iterator[tuple[float, int, int, int]]:
         """Signs of an angle, of its rate and of the depth that agree with each other: nats, signs.
 
         Where the heading is that of east-north-up, the body's axes are forward-left-up as a rule.
         """
         left_up = self.flu if role == "theta" else 0.0
         for angle in (1, -1):
-            turning = angle * one.sign if one.rate >= 0 else 1
+            turning = angle * one.rate.sign if one.rate.at >= 0 else 1
             score = (-3.0 if angle < 0 else 0.0) + left_up * (-angle)
             score -= 2.5 * (turning * angle < 0)
             z = -dive.sign * angle
             if dive.at >= 0:
-                score += self._depth(self.fields[dive.at], z)
+                score += self._depth(self.fields.every[dive.at], z)
             yield score, angle, turning, z
 
-    def _depth(self, one: _Field, z: int) -> float:
+    def _depth(self, one: Field, z: int) -> float:
         """Nats for a depth that counts downwards (1) or upwards (-1)."""
         below = -1 if _is_up(one.name) else 1
         named = one.weight * (z == below) if one.hint == "z" else 0.0
@@ -866,22 +651,19 @@ class _Work:
 
     def _dive(
         self, theta: _Angle, u: np.ndarray | None = None, among: Sequence[int] | None = None
-    ) -> _Row:
+    ) -> Reading:
         """The depth that a pitch explains, if there is one."""
-        angle = self.columns[:, theta.angle] * _factor(theta.unit)
-        column = self._sum((1.0 if u is None else u) * np.sin(angle))
-        rows = []
-        for i in self.open_to("z") if among is None else among:
-            share, slope = _line(column, self.free[:, i])
-            if i in (theta.angle, theta.rate) or share < SPURIOUS:
-                continue
-            for unit, nats in self.options(i, "z").items():
+        fields = self.fields
+        angle = fields.columns[:, theta.angle.at] * factor(theta.angle.unit)
+        column = fields.summed((1.0 if u is None else u) * np.sin(angle))
+        rows = list[Reading]()
+        for i in fields.open_to("z") if among is None else among:
+            share, slope = line(column, fields.free[:, i])
+            if i not in (theta.angle.at, theta.rate.at) and share >= SPURIOUS:
                 # What the heave adds is not asked: ten per cent of the speed.
-                fits = 0.0 if u is None else _match(slope, 1.0 / _factor(unit), 0.1)
-                sure = _certain(share, fits, self._named(i, "z"))
-                score = nats + _explained(share) + fits
-                rows.append(_Row(score, i, unit, int(np.sign(slope)), sure))
-        return _likeliest(rows) if rows else _LEVEL
+                error = None if u is None else 0.1
+                rows += fields.readings(i, "z", share, 1.0 / slope, error)
+        return likeliest(rows) if rows else NOTHING
 
     # -- what has a name only --
 
@@ -889,10 +671,11 @@ class _Work:
         """Roles that nothing but name, unit and size tells; commands."""
         theta, u, z = (self.series(role) for role in ("theta", "u", "z"))
         if theta is not None and u is not None and z is not None:
-            dived, target = self._sum(-u * np.sin(theta)), self._free(z[:, None])[:, 0]
-            heaved = np.cos(theta)
-            said = "the depth changes with it"
-            self._explain("w", target, dived, lambda w: self._sum(w * heaved), said)
+            summed, heaved = self.fields.summed, np.cos(theta)
+            self._explain(
+                "w", self.fields.detrended(z), summed(-u * np.sin(theta)),
+                lambda w: summed(w * heaved), "the depth changes with it",
+            )  # fmt: skip
         for angle in RATES:
             if angle not in self.found:
                 self._by_name(angle)
@@ -904,44 +687,44 @@ class _Work:
 
     def _euler(self, angle: str) -> None:
         """A rate that is one of an angle with the other angles and rates taken into account."""
-        target = self.series(angle)
+        target, summed = self.series(angle), self.fields.summed
         if target is None:
             return
         zero = np.zeros_like(target)
         theirs = (self.series(n) for n in ("phi", "theta", "q", "r"))
         phi, theta, q, r = (zero if one is None else one for one in theirs)
         turning = q * np.sin(phi) + r * np.cos(phi)
-        others, factor = {
+        others, size = {
             "phi": (turning * np.tan(theta), np.ones_like(phi)),
             "theta": (-r * np.sin(phi), np.cos(phi)),
             "psi": (q * np.sin(phi) / np.cos(theta), np.cos(phi) / np.cos(theta)),
         }[angle]
-        left = self._free(target[:, None])[:, 0] - self._sum(others)
+        left = self.fields.detrended(target) - summed(others)
         role, said = RATES[angle], f"it is the rate of {self.found[angle].field}"
-        self._explain(role, left, zero, lambda rate: self._sum(rate * factor), said)
+        self._explain(role, left, zero, lambda rate: summed(rate * size), said)
         # Through the other angles their doubtful signs are its own.
-        others = (one for one in self.found.values() if one.role in (*RATES, "q", "r"))
-        if role in self.found and any("sign" in one.doubts for one in others):
+        leading = (one for one in self.found.values() if one.role in (*RATES, "q", "r"))
+        if role in self.found and any("sign" in one.doubts for one in leading):
             self.found[role] = _asked(self.found[role], "sign")
 
     def _by_name(self, role: str) -> None:
         """Take the field that is called so."""
         rows = [
-            _Row(nats, i, unit, 1, True)
-            for i, one in enumerate(self.fields)
-            if i not in self.used and one.hint == role
-            for unit, nats in self.options(i, role).items()
+            Reading(nats, i, unit)
+            for i, one in enumerate(self.fields.every)
+            if i not in self.at.values() and one.hint == role
+            for unit, nats in self.fields.options(i, role).items()
         ]
         if not rows:
             return
-        best = _likeliest(self._same_units(role, rows))
+        best = likeliest(self._same_units(role, rows))
         doubts = (*best.doubts, *("field",) * (len({row.at for row in rows}) > 1))
         # Forward, down and clockwise are usual; of other axes a name does not tell the direction.
         doubts += ("sign",) * (role in ("v", "w", "p", "q", "r", "y"))
-        sign = -1 if role == "z" and _is_up(self.fields[best.at].name) else 1
-        self._take(role, best.at, best.unit, sign, doubts, "its name and size")
+        sign = -1 if role == "z" and _is_up(self.fields.every[best.at].name) else 1
+        self._take(role, best, sign, doubts, "its name and size")
 
-    def _same_units(self, role: str, rows: Sequence[_Row]) -> list[_Row]:
+    def _same_units(self, role: str, rows: Sequence[Reading]) -> list[Reading]:
         """A logger mostly writes quantities of one kind in one unit."""
         needed = TABLE["roles"][role][0]
         known = {
