@@ -379,7 +379,7 @@ def test_validation_prefers_the_true_structure() -> None:
     wrong = study.estimate(study.candidates[1:2], fit.values, fit, max_iterations=25)
     assert right is not None
     assert wrong is not None
-    assert study.validate(fit) - study.validate(right) > 50.0
-    assert study.validate(wrong) - study.validate(right) > 50.0
+    assert study.predict(fit, other).value - study.predict(right, other).value > 50.0
+    assert study.predict(wrong, other).value - study.predict(right, other).value > 50.0
     np.testing.assert_allclose(study.rms(right, other), NOISE, rtol=0.12)
     assert np.all(study.rms(fit, other) > 1.3 * study.rms(right, other))

@@ -102,9 +102,7 @@ class Claim:
     @property
     def rises(self) -> bool:
         """Whether whole validation runs get worse, or end."""
-        if np.isnan(self.before) and np.isnan(self.after):
-            return False
-        return not self.after <= self.allowed * self.before
+        return worse(self.before, self.after, self.allowed)
 
     @property
     def held(self) -> bool:
@@ -158,21 +156,17 @@ def claim(
         Threshold.
     """
     share, records, fits = independent_share(study, before), study.validation, (before, after)
-    told = [None if records is None else study.predict(fit, records) for fit in fits]
+    told = [] if records is None else [study.predict(fit, records) for fit in fits]
     found = Claim(
         " + ".join(effect.name for effect in effects),
         share * (before.objective - after.objective),
-        np.nan,
+        share * difference(*(one.value for one in told)) if told else np.nan,
         needed,
+        *_own_errors(study, before, after),
+        allowed_rise(after),
         independent=share,
-        models=((before.objective, told[0]), (after.objective, told[1])),
+        models=tuple(zip([fit.objective for fit in fits], told or (None, None), strict=True)),
     )
-    if records is not None:
-        validation = share * difference(*map(study.validate, fits))
-        old, new = (own_error(study, fit, records) for fit in fits)
-        found = replace(
-            found, validation=validation, before=old, after=new, allowed=allowed_rise(after)
-        )
     if not found.excess > 0.0:
         return found
     # An optimum at infinity, such as the lag of a sensor that stands still, is no size.
@@ -252,14 +246,26 @@ def allowed_rise(fit: FilteredSolution) -> float:
     return RISE_DISTURBED if fit.noise.has_forces else RISE
 
 
+def worse(before: float, after: float, allowed: float) -> bool:
+    """Whether an error of whole validation runs rises or is infinite; never without any."""
+    return not (np.isnan(before) and np.isnan(after)) and not after <= allowed * before
+
+
 def rises(
     study: Study, before: FilteredSolution, after: FilteredSolution, allowed: float | None = None
 ) -> bool:
-    """Whether the error of whole validation runs rises or is infinite; never without any."""
+    """Whether the error of whole validation runs rises from a fit to another."""
+    old, new = _own_errors(study, before, after)
+    return worse(old, new, allowed or allowed_rise(after))
+
+
+def _own_errors(
+    study: Study, before: FilteredSolution, after: FilteredSolution
+) -> tuple[float, float]:
+    """Errors of two models on their own on the validation records; NaN without any."""
     if study.validation is None:
-        return False
-    old, new = (own_error(study, fit, study.validation) for fit in (before, after))
-    return not new <= (allowed or allowed_rise(after)) * old
+        return np.nan, np.nan
+    return own_error(study, before, study.validation), own_error(study, after, study.validation)
 
 
 def own_error(study: Study, found: FilteredSolution, dataset: Dataset) -> float:

@@ -7,7 +7,7 @@ call finds the steps of one that did not end.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -22,13 +22,12 @@ from oed_sysid.evidence.improvement import (
     Improvement,
     Step,
     Yardstick,
-    parameter_table,
     proposed_term,
 )
 from oed_sysid.evidence.locate import Located, likeliest, locate
 from oed_sysid.evidence.preparation import Prepared, prepared
 from oed_sysid.evidence.remainder import Remains
-from oed_sysid.evidence.search import Ended, Search, Standing, every_step, overgrown
+from oed_sysid.evidence.search import Ended, Search, every_step, overgrown
 from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.archive import encode
@@ -222,38 +221,30 @@ def _result(
     # Fits and the table of errors are of the same estimates, as anybody finds them from the fits.
     path = [study.polished(fit) for fit in (end.base, *every_step(state)[1:])]
     fits = [study.result(fit, "improve, disturbance forces") for fit in path]
-    sigma = _sigma(study, fits)
     records = {"train": study.train, "test": study.validation}
-    rms = [{name: study.rms(fit, of) for name, of in records.items()} for fit in path]
-    errors = [_relative(records, one, sigma) for one in rms]
+    base_rms, *rms = [{name: study.rms(fit, of) for name, of in records.items()} for fit in path]
+    yardstick = Yardstick.of(records, _sigma(study, fits))
     steps = tuple(
         Step(
             effect=one.effect.with_values(fit.model.values),
             group=one.group,
             claim=one.claim,
-            train_error=error["train"],
-            test_error=error["test"],
             fit=fit,
             rms=own,
+            errors=yardstick.relative(own),
         )
-        for one, fit, own, error in zip(state.added, fits[1:], rms[1:], errors[1:], strict=True)
+        for one, fit, own in zip(state.added, fits[1:], rms, strict=True)
     )
     if log is not None:
         log = with_estimates(log, fits[-1], state.effects, study.base.values, logs)
     return Improvement(
-        model=fits[-1].model,
-        base=fits[0].model,
+        base_fit=fits[0],
+        base_rms=base_rms,
         steps=steps,
         ranking=end.first,
-        base_fit=fits[0],
-        base_error=errors[0],
-        final_error=errors[-1],
         location=location,
         remains=_whole(end.left, fits[-1], study.validation, log),
-        parameters=parameter_table(fits[-1]),
-        base_rms=rms[0],
-        yardstick=Yardstick.of(study.train, study.validation, sigma),
-        rejected=_rejected(state),
+        yardstick=yardstick,
         proposed=()
         if end.proposals is None
         else (proposed_term(end.proposals, steps[-1], state.replaced),),
@@ -274,29 +265,8 @@ def _whole(left: Remains, fit: Fit, validation: Dataset | None, log: LogCheck | 
     )
 
 
-def _rejected(state: Standing) -> tuple[str, ...]:
-    """What the training records alone would have claimed."""
-    claimed = {effect.name for effect in state.effects}
-    asked = (d.name for d in state.decisions if d.training > d.needed and not d.stands)
-    return tuple(name for name in dict.fromkeys(asked) if name not in claimed)
-
-
 def _sigma(study: Study, fits: Sequence[Fit]) -> np.ndarray:
     """Noise level of every output: declared, else the smallest that a fit's sensors have."""
     declared = given_levels(study.base.outputs)
     found = np.min([fit.noise.sensors for fit in fits], axis=0)
     return np.where(np.isnan(declared), np.maximum(found, study.setting.least_white), declared)
-
-
-def _relative(
-    records: Mapping[str, Dataset | None], rms: Mapping[str, np.ndarray], sigma: np.ndarray
-) -> dict[str, float]:
-    """Errors of all outputs together from those of each, in units of the noise."""
-    found = dict.fromkeys(records, np.nan)
-    for name, dataset in records.items():
-        count = np.sum([np.isfinite(r.outputs).sum(axis=0) for r in dataset or ()], axis=0)
-        if np.any(count):
-            seen = count > 0
-            total = np.sum(count[seen] * (rms[name][seen] / sigma[seen]) ** 2)
-            found[name] = float(np.sqrt(total / count.sum()))
-    return found

@@ -47,20 +47,35 @@ class Yardstick:
     outputs : tuple of Output
     sigma : ndarray (n_outputs,)
         Noise levels.
-    spread : Errors
-        Standard deviation of each signal over training and validation records.
+    spread, counts : Errors
+        Standard deviation of each signal over training and validation records, and its samples.
     """
 
     outputs: tuple[Output, ...]
     sigma: np.ndarray
     spread: Errors
+    counts: Errors
 
     @classmethod
-    def of(cls, train: Dataset, test: Dataset | None, sigma: np.ndarray) -> Yardstick:
+    def of(cls, records: Mapping[str, Dataset | None], sigma: np.ndarray) -> Yardstick:
         """Yardstick of training and validation records, each with the spread of its own signals."""
-        parts = {"train": train, "test": test}
-        spread = {name: signal_spread(part) for name, part in parts.items() if part}
-        return cls(train.channels.outputs, sigma, spread)
+        parts = {name: part for name, part in records.items() if part}
+        spread = {name: signal_spread(part) for name, part in parts.items()}
+        counts = {
+            name: np.sum([np.isfinite(r.outputs).sum(axis=0) for r in part], axis=0)
+            for name, part in parts.items()
+        }
+        return cls(parts["train"].channels.outputs, sigma, spread, counts)
+
+    def relative(self, errors: Errors) -> dict[str, float]:
+        """Errors over all outputs in units of the noise; NaN where nothing was measured."""
+        found = dict.fromkeys(errors, np.nan)
+        for name, count in self.counts.items():
+            seen = count > 0
+            squares = count[seen] * (errors[name][seen] / self.sigma[seen]) ** 2
+            if seen.any():
+                found[name] = float(np.sqrt(np.sum(squares) / count.sum()))
+        return found
 
     def table(self, before: Errors, after: Errors | None) -> display.Table:
         """Errors of the nominal and the improved model, in units and per cent of the signal."""
@@ -124,12 +139,12 @@ class Step:
         Identifiers that these data cannot tell from it, itself first.
     claim : Claim
         The decision with every term of it (:mod:`oed_sysid.evidence.claim`).
-    train_error, test_error : float
-        Prediction errors after the step, in units of the noise.
     fit : Fit
         The fit after the step.
     rms : dict
-        The same errors of each output in its unit, ``train`` and ``test``, ``(n_outputs,)``.
+        Prediction errors of each output in its unit, ``train`` and ``test``, ``(n_outputs,)``.
+    errors : dict
+        The same over all outputs, in units of the noise.
 
     Examples
     --------
@@ -139,10 +154,9 @@ class Step:
     effect: Effect
     group: tuple[str, ...]
     claim: Claim
-    train_error: float
-    test_error: float
     fit: Fit
     rms: Errors
+    errors: Mapping[str, float]
 
     to_dict = display.as_dict(
         "added", "group", "train_error", "test_error",
@@ -155,9 +169,15 @@ class Step:
         """Identifier of the effect."""
         return self.effect.name
 
-    def error(self, records: str) -> float:
-        """Prediction error after the step on training or ``"validation"`` records."""
-        return self.test_error if records == "validation" else self.train_error
+    @property
+    def train_error(self) -> float:
+        """Prediction error after the step on training records, in units of the noise."""
+        return self.errors["train"]
+
+    @property
+    def test_error(self) -> float:
+        """The same on validation records; NaN without any."""
+        return self.errors["test"]
 
 
 # Verdicts of whole runs that are as noise and disturbances would leave them.
@@ -170,26 +190,19 @@ class Improvement:
 
     Attributes
     ----------
-    model : Model
-        The improved model at its estimates.
-    base : Model
-        The nominal model at its estimates.
+    base_fit : Fit
+        Of the nominal model.
+    base_rms : dict
+        Its errors of each output in its unit, ``train`` and ``test``, ``(n_outputs,)``.
     steps : tuple of Step
     ranking : Ranking
         Of the first round.
-    base_fit : Fit
-    base_error, final_error : dict
-        ``train`` and ``test`` errors in units of the noise.
     location : Located
         Where the nominal model fails: stage, equation or sensor, and when.
     remains : Remains
         What is left unexplained after the last step.
-    base_rms : dict
-        Errors of each output in its unit, ``train`` and ``test``, ``(n_outputs,)``.
     yardstick : Yardstick
         Noise and spread of the signals, to compare errors with.
-    rejected : tuple of str
-        What the training records alone would have claimed.
     last : Ranking or None
         Of the last round, in which everything found was part of the model; it tells what the
         records would not have shown. None where the first was the last.
@@ -201,19 +214,13 @@ class Improvement:
     What :func:`~oed_sysid.evidence.improve` returns; see there.
     """
 
-    model: Model
-    base: Model
+    base_fit: Fit
+    base_rms: Errors
     steps: tuple[Step, ...]
     ranking: Ranking
-    base_fit: Fit
-    base_error: Mapping[str, float]
-    final_error: Mapping[str, float]
     location: Located
     remains: Remains
-    parameters: tuple[Mapping[str, Any], ...]
-    base_rms: Errors
     yardstick: Yardstick
-    rejected: tuple[str, ...] = ()
     proposed: tuple[Mapping[str, Any], ...] = ()
     notes: tuple[str, ...] = ()
     log: LogCheck | None = None
@@ -238,6 +245,43 @@ class Improvement:
     def fit(self) -> Fit:
         """The fit after the last step: to save, predict with, and hand to a design."""
         return self.fits[-1]
+
+    @property
+    def base(self) -> Model:
+        """The nominal model at its estimates."""
+        return self.base_fit.model
+
+    @property
+    def model(self) -> Model:
+        """The improved model at its estimates."""
+        return self.fit.model
+
+    @property
+    def base_error(self) -> Mapping[str, float]:
+        """Errors of the nominal model, ``train`` and ``test``, in units of the noise."""
+        return self.yardstick.relative(self.base_rms)
+
+    @property
+    def final_error(self) -> Mapping[str, float]:
+        """Errors of the improved model, ``train`` and ``test``, in units of the noise."""
+        return self.steps[-1].errors if self.steps else self.base_error
+
+    @property
+    def parameters(self) -> tuple[Mapping[str, Any], ...]:
+        """Name, value, standard error and unit of every estimated parameter."""
+        fit, errors = self.fit, self.fit.std_errors
+        return tuple(
+            {"name": name, "value": value, "std_error": errors[name], "unit": unit}
+            for name, value in fit.values.items()
+            for unit in [fit.model.parameter(name).unit]
+        )
+
+    @property
+    def rejected(self) -> tuple[str, ...]:
+        """What the training records alone would have claimed."""
+        added = {step.added for step in self.steps}
+        asked = (d.name for d in self.decisions if d.training > d.needed and not d.stands)
+        return tuple(name for name in dict.fromkeys(asked) if name not in added)
 
     @property
     def conclusion(self) -> str:
@@ -455,9 +499,9 @@ class Improvement:
                 display.Figure("plot_force_found", self, f"{words}.", (train,), size=half)
             )
         headers = ("effect", *TERMS, "error after")
-        _, records = self._judged
+        which, _ = self._judged
         rows = [
-            (step.added, *_terms(step.claim), *_cells(".3g", step.error(records)))
+            (step.added, *_terms(step.claim), *_cells(".3g", step.errors[which]))
             for step in self.steps
         ]
         note = "T, on training and validation records together, has to pass the threshold."
@@ -520,14 +564,6 @@ TERMS = ("training", "validation", "T", "threshold")
 def _terms(one: Claim) -> list[str]:
     """The terms of a decision: training, validation, T and threshold."""
     return _cells(".1f", one.training, one.validation, one.statistic, one.needed)
-
-
-def parameter_table(fit: Fit) -> tuple[Mapping[str, Any], ...]:
-    """Name, value, standard error and unit of every estimated parameter."""
-    return tuple(
-        {"name": name, "value": value, "std_error": error, "unit": fit.model.parameter(name).unit}
-        for (name, value), error in zip(fit.values.items(), fit.std_errors.values(), strict=True)
-    )
 
 
 def advice(result: Improvement) -> list[str]:

@@ -378,21 +378,12 @@ class Study:
 
     # -- validation ------------------------------------------------------------------
 
-    def validate(self, found: FilteredSolution) -> float:
-        """Minus twice the log-likelihood of the validation records, the training records known.
-
-        Returns
-        -------
-        float
-            Up to a constant that all models share; infinite where the model cannot be run.
-        """
-        assert self.validation is not None
-        prediction = self.predict(found, self.validation)
-        return np.inf if prediction is None else prediction.value
-
     @_once
-    def predict(self, found: FilteredSolution, validation: Dataset) -> Prediction | None:
-        """What :meth:`validate` is made of; None where the model cannot be run."""
+    def predict(self, found: FilteredSolution, validation: Dataset) -> Prediction:
+        """How likely a model makes the validation records, the training records known.
+
+        Up to a constant that all models share; not at all where the model cannot be run.
+        """
         layout, limits = found.problem.layout, found.problem.limits
         shared = np.arange(len(layout.shared))
         matrix = found.matrix + np.diag(limits.prior_weight)
@@ -403,11 +394,9 @@ class Study:
         knowledge = Knowledge(found.point.unknowns[shared].copy(), known)
         problem = self.as_in(found, levels, validation, knowledge)
         alone = self.alone(found, validation)
-        if alone is None:
-            return None
-        solution = _solved(problem, alone, 20)
-        if solution is None:
-            return None
+        solution = alone and _solved(problem, alone, 20)
+        if not solution:
+            return Prediction(np.inf, known, known)
         total = solution.matrix + np.diag(problem.limits.prior_weight)
         both = eliminate(total, shared, np.arange(len(shared), problem.layout.n_unknowns))
         # In typical sizes.
