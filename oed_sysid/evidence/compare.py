@@ -27,21 +27,23 @@ from oed_sysid.evidence.study import Study, total_error
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
+from oed_sysid.likelihood.gauss_newton import Convergence, Descent
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels, root_mean_square
 from oed_sysid.likelihood.noise_model import Disturbances
 from oed_sysid.likelihood.prediction import WAYS, Initial, Prediction, predict
-from oed_sysid.likelihood.start_guess import (
-    VAGUE,
-    check_channels,
-    kinematic_states,
-    measured_states,
-)
+from oed_sysid.likelihood.projection import inverse_of
+from oed_sysid.likelihood.shooting import Shooting
+from oed_sysid.likelihood.start_guess import VAGUE, check_channels
+from oed_sysid.likelihood.windows import HELD, Part, Windows
 from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Input, State
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime import display
 from oed_sysid.runtime.threads import single_threaded
 from oed_sysid.text.units import shown_unit
+
+# Most Gauss-Newton steps to the states before forecasts; linear models need one.
+MOST_STEPS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -598,8 +600,6 @@ class Forecasts:
     ----------
     horizon : float
         How far ahead, s.
-    starts : tuple of ndarray (n_starts,)
-        Times at which forecasts begin, s, per record.
     errors : tuple of ndarray (n_starts, n_ahead, n_outputs)
         Measured minus forecast, per record; NaN where nothing was measured or
         the forecast diverged.
@@ -611,7 +611,6 @@ class Forecasts:
     """
 
     horizon: float
-    starts: tuple[np.ndarray, ...]
     errors: tuple[np.ndarray, ...]
     expected: tuple[np.ndarray, ...]
     failed: int
@@ -621,7 +620,7 @@ class Forecasts:
     @property
     def n_forecasts(self) -> int:
         """Number of forecasts over all records."""
-        return sum(len(part) for part in self.starts)
+        return sum(map(len, self.errors))
 
     @property
     def rmse(self) -> np.ndarray:
@@ -655,7 +654,8 @@ def forecasts(
     """Forecast every stretch of ``horizon`` seconds from the one before it.
 
     The state at the start of a stretch of half the horizon is estimated from
-    that stretch; the model then runs on over the horizon without measurements.
+    that stretch (:mod:`oed_sysid.likelihood.windows`); the model then runs on over the horizon
+    without measurements.
 
     Parameters
     ----------
@@ -672,91 +672,51 @@ def forecasts(
         Values of per-record parameters.
     """
     held = model.fix(*model.free_names)
-    compiled, parts = kernel(held), []
-    for index, record in enumerate(dataset):
-        values = held.with_values(local[index] if local else {}).value_vector
-        nothing = np.empty((0, 1, len(sigma)))
-        parts.append(
-            (np.empty(0), nothing, nothing)  # nothing follows from one test to the next
-            if record.independent
-            else _record(compiled, record, values, sigma, horizon)
-        )
-    starts, errors, expected = zip(*parts, strict=True)
+    compiled, every = kernel(held), local or [{}] * len(dataset)
+    pairs = zip(dataset, every, strict=True)
+    parts = [_ahead(compiled, held.with_values(v), r, sigma, horizon) for r, v in pairs]
+    errors, expected = zip(*parts, strict=True)
     failed = sum(int(np.isnan(size).any(axis=(1, 2)).sum()) for size in expected)
-    return Forecasts(horizon, starts, errors, expected, failed)
+    return Forecasts(horizon, errors, expected, failed)
 
 
-def _record(
-    compiled: Kernel, record: Record, values: np.ndarray, sigma: np.ndarray, horizon: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Starts, errors and their expected size along one record."""
-    model = compiled.model
+def _ahead(
+    compiled: Kernel, model: Model, record: Record, sigma: np.ndarray, horizon: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Errors and their expected size along one record; NaN where a forecast diverges."""
     ahead = max(2, round(horizon / record.sample_time))
     before = max(2, ahead // 2)
-    first = np.arange(0, record.n_samples - before - ahead + 1, ahead)
-    # States as far as measurements tell.
-    guess = np.zeros((record.n_samples, len(model.states)))
-    measured = measured_states(model, record)
-    kinematic = kinematic_states(model, record, measured)
-    for position, series in (measured | {k: v.series for k, v in kinematic.items()}).items():
-        guess[:, position] = series
-    # What effects remember along the model's own run.
-    z0, _ = compiled.start(guess[0], record.inputs[0], values, record.times[0])
-    own = compiled.run(record.times, record.inputs, values, z0)
+    # Nothing follows from one independent test to the next.
+    count = 0 if record.independent else record.n_samples
+    first = np.arange(0, count - before - ahead + 1, ahead)
     errors = np.full((len(first), ahead, len(sigma)), np.nan)
     expected = errors.copy()
-    for row, begin in enumerate(first):
-        memory = own.states[begin, compiled.n_own :] if own.ok else None
-        part = slice(begin, begin + before + ahead)
-        found = _forecast(compiled, record, part, values, guess[begin], memory, sigma, before)
-        if found is not None:
-            errors[row], expected[row] = found
-    return record.times[first + before], errors, expected
-
-
-def _forecast(
-    compiled: Kernel,
-    record: Record,
-    part: slice,
-    values: np.ndarray,
-    own: np.ndarray,
-    memory: np.ndarray | None,
-    sigma: np.ndarray,
-    before: int,
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Errors and their expected size after the first ``before`` samples of a part."""
-    times, inputs, outputs = record.times[part], record.inputs[part], record.outputs[part]
-    weight = 1.0 / (VAGUE * np.array([state.scale for state in compiled.model.states]))
-    start, best, kept = own.copy(), np.inf, None
-    for _ in range(6):  # Gauss-Newton; linear models need one step
-        z0, dz = compiled.start(start, inputs[0], values, times[0])
-        if memory is not None:
-            # A play or a lag is where its commands have left it, not in rest at the present one;
-            # what follows from the states (a late sensor) is taken from these.
-            alone = ~dz[compiled.n_own :, : compiled.n_own].any(axis=1)
-            z0[compiled.n_own :][alone] = memory[alone]
-        run = compiled.run(times, inputs, values, z0, sensitivities=True)
-        if not run.ok or run.output_sensitivities is None:
-            start = 0.5 * (start + own)
-            continue
-        jacobian = run.output_sensitivities[:, :, : compiled.n_full] @ dz[:, : compiled.n_own]
-        residual = (outputs - run.outputs)[:before] / sigma
-        seen = np.isfinite(residual)
-        rows = np.where(seen[:, :, None], jacobian[:before] / sigma[:, None], 0.0)
-        rows = np.vstack([rows.reshape(-1, len(own)), np.diag(weight)])
-        right = np.concatenate([np.where(seen, residual, 0.0).ravel(), weight * (own - start)])
-        cost = float(right @ right)
-        if cost < best:
-            inverse = np.linalg.pinv(rows, rcond=1e-10)
-            gained, best = best - cost, cost
-            kept = run.outputs, jacobian[before:], inverse @ inverse.T, start
-            if gained < 1e-3:
-                break
-            start = start + inverse @ right
-        elif kept is not None:
-            start = 0.5 * (start + kept[3])
-    if kept is None:
-        return None
-    prediction, later, covariance, _ = kept
-    variance = np.einsum("tij,jk,tik->ti", later, covariance, later)
-    return (outputs - prediction)[before:], np.sqrt(variance + sigma**2)
+    if not len(first):
+        return errors, expected
+    shooting = Shooting(model, Dataset((record,)), sigma, runner=compiled)
+    unknowns = shooting.start_unknowns()
+    _, by_own = shooting.full_start(unknowns, 0)
+    # A play or a lag is where its commands have left it; what follows from the states (a late
+    # sensor) is estimated with these.
+    memory = ~by_own[:, : compiled.n_own].any(axis=1)
+    weight = np.where(memory, HELD, (VAGUE * shooting.state_scale) ** -2.0)
+    starts = np.unique([*first, *(first[:-1] + before)]).astype(np.intc)
+    part = Part(0, starts, np.isin(starts, first), int(first[-1]) + before)
+    problem = Windows(shooting, [part], weight[None], unknowns)
+    descent = Descent(problem.at(problem.start), Windows.at, Convergence(1e-3))
+    if np.isfinite(descent.now.cost):
+        descent.run(MOST_STEPS)
+    (nodes,) = descent.lowest.point.nodes
+    gram = problem.products(part, unknowns, nodes)
+    known = np.diag(weight) if gram is None else gram[:, :-1, :-1] + np.diag(weight)
+    known = np.broadcast_to(known, (len(first), len(weight), len(weight)))
+    for row, (begin, node) in enumerate(zip(first, nodes[part.counted], strict=True)):
+        seen = slice(begin, begin + before + ahead)
+        times, inputs = record.times[seen], record.inputs[seen]
+        run = compiled.run(times, inputs, model.value_vector, node, sensitivities=True)
+        if run.ok and run.output_sensitivities is not None:
+            later = run.output_sensitivities[before:, :, : compiled.n_full]
+            variance = np.einsum("tij,jk,tik->ti", later, inverse_of(known[row]), later)
+            errors[row] = (record.outputs[seen] - run.outputs)[before:]
+            expected[row] = np.sqrt(variance + sigma**2)
+    return errors, expected

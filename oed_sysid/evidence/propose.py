@@ -418,8 +418,7 @@ def propose(study: Study, fit: FilteredSolution, *, n_refits: int = N_REFITS) ->
     """
     first = TermScores(*let_in(fit, study.unit))
     needed = threshold(len(first.scores), 1)
-    chosen = first.representatives(n_refits)
-    found = _refitted(study, fit, first.signals, chosen, needed)
+    found = _refitted(study, fit, first.signals, first.representatives(n_refits), needed)
     if found and found[0].refit.gain > needed:
         # Parameters bend to what is missing. With the best term they have straightened,
         # and its noise is small: seen from there, a rival may be better still.
@@ -429,9 +428,9 @@ def propose(study: Study, fit: FilteredSolution, *, n_refits: int = N_REFITS) ->
         own = next((s.statistic for s in second.scores if s.term == found[0].term), 0.0)
         present = {proposal.term for proposal in found}
         rivals = [
-            (score, alike)
-            for score, alike in second.representatives(n_refits)
-            if score.statistic > RIVAL * own and score.term not in present
+            one
+            for one in second.representatives(n_refits)
+            if one.statistic > RIVAL * own and one.term not in present
         ]
         found += _refitted(study, fit, first.signals, rivals, needed, best)
     return Proposals(tuple(sorted(found, key=lambda p: -p.evidence)), needed)
@@ -441,26 +440,19 @@ def _refitted(
     study: Study,
     fit: FilteredSolution,
     signals: Signals,
-    chosen: Sequence[tuple[TermScore, tuple[str, ...]]],
+    chosen: Sequence[TermScore],
     needed: float,
     near: FilteredSolution | None = None,
 ) -> list[Proposal]:
     """Refits of terms, each alone, best first; begun at parameters of a nearby fit where given."""
-    scores, model = [], fit.problem.model
-    for one, _ in chosen:
-        effect = one.term.effect(model, signals.units, max(abs(one.estimate), one.std_error))
-        name, nothing = effect.parameters[0].name, np.zeros((0, 1))
-        size, error = {name: one.estimate}, {name: one.std_error}
-        scores.append(Score(effect, one.statistic, 1, size, error, one.distinct, nothing))
-    if not scores:
+    if not chosen:
         return []
+    scores = [one.of_effect(fit.problem.model, signals.units) for one in chosen]
     # One structure with all of them: compiled once.
     wide = study.with_candidates([score.effect for score in scores])
-    given = {score.effect.name: pair for score, pair in zip(scores, chosen, strict=True)}
-    found = []
-    for again in refitted(wide, fit, [((score,), needed) for score in scores], near):
-        own, alike = given[again.name]
-        found.append(Proposal(own.term, again, alike))
+    given = {score.effect.name: one for score, one in zip(scores, chosen, strict=True)}
+    refits = refitted(wide, fit, [((score,), needed) for score in scores], near)
+    found = (Proposal(given[one.name].term, one, given[one.name].alike) for one in refits)
     return sorted(found, key=lambda p: -p.evidence)
 
 
@@ -477,6 +469,8 @@ class TermScore:
         One-step estimate of the coefficient, and its standard error.
     distinct : float
         Share of its signature that free parameters cannot imitate.
+    alike : tuple of str
+        Terms for which it stands, their signatures almost the same.
     """
 
     term: Term
@@ -484,6 +478,14 @@ class TermScore:
     estimate: float
     std_error: float
     distinct: float
+    alike: tuple[str, ...] = ()
+
+    def of_effect(self, model: Model, units: Mapping[str, str]) -> Score:
+        """The score of the term as an effect."""
+        effect = self.term.effect(model, units, max(abs(self.estimate), self.std_error))
+        name, nothing = effect.parameters[0].name, np.zeros((0, 1))
+        size, error = {name: self.estimate}, {name: self.std_error}
+        return Score(effect, self.statistic, 1, size, error, self.distinct, nothing)
 
 
 class TermScores:
@@ -516,10 +518,8 @@ class TermScores:
             states = [part.path[:, problem.own] for part in passes]
             signals = Signals(problem.model, problem.dataset, states)
         dictionary = terms(problem.model, signals.signals)
-        matrix, right = problem.gathered(unknowns, passes)
-        limits = problem.limits
-        matrix = matrix + np.diag(limits.prior_weight)
-        right = right + limits.prior_weight * (limits.prior_mean - unknowns)
+        gathered = problem.gathered(unknowns, passes)
+        matrix, right = problem.limits.with_priors(*gathered, unknowns)
         n_terms = len(dictionary)
         cross, along = np.zeros((len(right), n_terms)), np.zeros(n_terms)
         full, kept_rows = np.zeros(n_terms), []
@@ -553,11 +553,11 @@ class TermScores:
         )
         columns = (root**2, root / np.maximum(left, 1e-300), 1.0 / np.maximum(left, 1e-300))
         facts = np.array([*columns, left / np.sqrt(np.maximum(full, 1e-300))]).T
-        self.scores = tuple(TermScore(dictionary[i], *map(float, facts[i])) for i in order)
+        self.scores = tuple(TermScore(dictionary[i], *facts[i].tolist()) for i in order)
         self.likeness = likeness / left[first][:, None] / left[first]
         self.signals = signals
 
-    def representatives(self, count: int) -> list[tuple[TermScore, tuple[str, ...]]]:
+    def representatives(self, count: int) -> list[TermScore]:
         """The best terms that differ; of those that are alike, the simplest stands for all."""
         families: list[list[int]] = []
         for index in range(len(self.likeness)):
@@ -570,7 +570,7 @@ class TermScores:
         for own in families:
             scores = (self.scores[index] for index in own)
             first, *others = sorted(scores, key=lambda s: s.term.complexity - s.statistic)
-            found.append((first, tuple(one.term.text for one in others)))
+            found.append(replace(first, alike=tuple(one.term.text for one in others)))
         return found
 
 

@@ -152,15 +152,9 @@ class ResidualForces:
     def _smoothed(
         self, innovations: Sequence[np.ndarray], right: np.ndarray
     ) -> Iterator[np.ndarray]:
-        limits = self.problem.limits
+        matrix, right = self.problem.limits.with_priors(self.matrix, right, self.unknowns)
         free = np.full(len(right), np.inf)
-        step = bounded_step(
-            self.matrix + np.diag(limits.prior_weight),
-            right + limits.prior_weight * (limits.prior_mean - self.unknowns),
-            -free,
-            free,
-            0.0,
-        )
+        step = bounded_step(matrix, right, -free, free, 0.0)
         for index, (path, part) in enumerate(zip(self.paths, innovations, strict=True)):
             own = path.disturbances(part[:, :, None])[:, :, 0]
             where = self.problem.layout.record_columns(index)

@@ -112,11 +112,15 @@ class Ended:
     """Where a search ended and began, what is left of the records, and a term for that."""
 
     state: Standing
-    base: FilteredSolution
     first: Ranking
     last: Ranking | None
     left: Remains
     proposals: Proposals | None = None
+
+    @property
+    def base(self) -> FilteredSolution:
+        """The fit of the nominal model."""
+        return self.state.path[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +164,7 @@ class Search:
                 for one in thinned.added
                 if one not in state.added
             )
-        return Ended(state, state.path[0], first, last, self._left(state))
+        return Ended(state, first, last, self._left(state))
 
     def beyond(self, end: Ended) -> Ended:
         """Look for a term for what is left, where that is more than noise."""
@@ -205,7 +209,7 @@ class Search:
                 "them, and is likelier with them, too."
             )
             state = asked_again(replace(state, study=found, fit=fit, path=(*calm.path, fit)))
-            return self.beyond(Ended(state, base, first, last, self._left(state)))
+            return self.beyond(Ended(state, first, last, self._left(state)))
         state = eliminated(state, found, noise, price)
         price = BOUGHT if len(state.added) > len(end.state.added) else price
         records = study.train if study.validation is None else study.validation
@@ -216,7 +220,7 @@ class Search:
             "Disturbance forces had grown over what is missing: whole runs of what was found "
             f"without them are {here / there:.2g} times better."
         )
-        return self.beyond(Ended(state, base, first, last, self._left(state)))
+        return self.beyond(Ended(state, first, last, self._left(state)))
 
     def stage(self, label: str, work: Callable[[], Done]) -> Done | None:
         """What a stage returns; None, and a note, where it fails: earlier results are kept."""
@@ -252,9 +256,10 @@ class Search:
             chosen, decisions = once("choice", partial(choice, state, ranking))
             state = replace(state, decisions=(*state.decisions, *decisions))
             rival = None if chosen is None else chosen[1]
-            state, at_sea = once("a sea", partial(with_waves, state, rival))
+            calm = state.calm
+            state = once("a sea", partial(with_waves, state, rival))
             yield state, ranking
-            if at_sea:
+            if calm is None and state.calm is not None:
                 tell("confirmed a sea in the place of disturbance forces of first order")
                 continue
             if chosen is None:
@@ -284,8 +289,8 @@ def with_alike(state: Standing, ranking: Ranking) -> Standing:
     return replace(state, added=(*others, replace(last, group=group)))
 
 
-def with_waves(state: Standing, rival: Claim | None) -> tuple[Standing, bool]:
-    """Ask a sea in the place of forces of first order, as any effect; whether it is taken.
+def with_waves(state: Standing, rival: Claim | None) -> Standing:
+    """Ask a sea in the place of forces of first order, as any effect.
 
     It is where it is claimed and its forces follow neither motion nor commands; and where what
     would be added else, ``rival``, has neither a larger statistic nor whole runs that are much
@@ -294,17 +299,17 @@ def with_waves(state: Standing, rival: Claim | None) -> tuple[Standing, bool]:
     study, fit = state.study, state.fit
     found, places = _at_sea(state)
     if found is fit or not found.noise.seas:
-        return state, False
+        return state
     # A level in each place, a period that is the best of many, and a width.
     needed = threshold(len(state.left) + 1, len(places) + 2, trials=len(periods(fit)))
     decided = replace(claim(study, fit, found, (), needed), name="a sea")
     if decided.stands and rival is not None and _explained(decided, rival):
-        return state, False  # asked again beside what explains more
+        return state  # asked again beside what explains more
     state = replace(state, decisions=(*state.decisions, decided))
     # A force that follows motion or commands is physics, whatever its period.
     if not decided.stands or followed(found):
-        return state, False
-    return replace(state, fit=found, calm=fit.noise, path=(*state.path[:-1], found)), True
+        return state
+    return replace(state, fit=found, calm=fit.noise, path=(*state.path[:-1], found))
 
 
 def _at_sea(state: Standing) -> tuple[FilteredSolution, list[str]]:
