@@ -434,22 +434,20 @@ def improve(study: Study, show: Shown, *, max_effects: int = 4, no_terms: bool =
     [bold]Example[/bold]: oed-sysid improve remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv --save better.json
     """
-    from oed_sysid.evidence.preparation import prepared
-
-    problem, train = study.problem, study.training()
+    problem = study.problem
     result = oed_sysid.improve(
-        problem.model, train, study.test, candidates=problem.effects,
+        problem.model, study.training(), study.test, candidates=problem.effects,
         known_noise=study.known_noise, disturbances=study.acting, max_effects=max_effects,
         terms=not no_terms, progress=partial(_round, show, max_effects), journal=show.journal,
     )  # fmt: skip
     fits = {NOMINAL: result.base_fit} | ({IMPROVED: result.fit} if result.steps else {})
     show.say("predicting")
-    ready = prepared(train, study.test)  # what the search itself has read and judged on
-    judged = ready.validation or ready.train
-    comparison = oed_sysid.compare(fits, judged, sigma=result.yardstick.sigma)
+    # What the search itself has read and judged on.
+    read, sigma = result.yardstick.records, result.yardstick.sigma
+    comparison = oed_sysid.compare(fits, read.get("test", read["train"]), sigma=sigma)
     return Outcome(
         result, result.document(), result.to_dict(),
-        partial(result.document, comparison, train=ready.train, title=problem.title),
+        partial(result.document, comparison, train=read["train"], title=problem.title),
         Figure("plot_error_fall", result, "", size=None), fits=fits, comparison=comparison,
         status=_status([], suspect=bool(result.remains.suspect)),
     )  # fmt: skip

@@ -223,7 +223,7 @@ def _result(
     fits = [study.result(fit, "improve, disturbance forces") for fit in path]
     records = {"train": study.train, "test": study.validation}
     base_rms, *rms = [{name: study.rms(fit, of) for name, of in records.items()} for fit in path]
-    yardstick = Yardstick.of(records, _sigma(study, fits))
+    yardstick = Yardstick({k: of for k, of in records.items() if of}, _sigma(study, fits))
     steps = tuple(
         Step(
             effect=one.effect.with_values(fit.model.values),

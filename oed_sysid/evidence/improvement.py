@@ -44,33 +44,30 @@ class Yardstick:
 
     Attributes
     ----------
-    outputs : tuple of Output
+    records : mapping
+        Training and validation records as they were searched, ``train`` and, if any, ``test``.
     sigma : ndarray (n_outputs,)
         Noise levels.
-    spread, counts : Errors
-        Standard deviation of each signal over training and validation records, and its samples.
     """
 
-    outputs: tuple[Output, ...]
+    records: Mapping[str, Dataset]
     sigma: np.ndarray
-    spread: Errors
-    counts: Errors
 
-    @classmethod
-    def of(cls, records: Mapping[str, Dataset | None], sigma: np.ndarray) -> Yardstick:
-        """Yardstick of training and validation records, each with the spread of its own signals."""
-        parts = {name: part for name, part in records.items() if part}
-        spread = {name: signal_spread(part) for name, part in parts.items()}
-        counts = {
-            name: np.sum([np.isfinite(r.outputs).sum(axis=0) for r in part], axis=0)
-            for name, part in parts.items()
-        }
-        return cls(parts["train"].channels.outputs, sigma, spread, counts)
+    @property
+    def outputs(self) -> tuple[Output, ...]:
+        """Outputs whose errors are told."""
+        return self.records["train"].channels.outputs
+
+    @property
+    def spread(self) -> Errors:
+        """Standard deviation of each signal over training and validation records."""
+        return {name: signal_spread(part) for name, part in self.records.items()}
 
     def relative(self, errors: Errors) -> dict[str, float]:
         """Errors over all outputs in units of the noise; NaN where nothing was measured."""
         found = dict.fromkeys(errors, np.nan)
-        for name, count in self.counts.items():
+        for name, part in self.records.items():
+            count = np.sum([np.isfinite(r.outputs).sum(axis=0) for r in part], axis=0)
             seen = count > 0
             squares = count[seen] * (errors[name][seen] / self.sigma[seen]) ** 2
             if seen.any():

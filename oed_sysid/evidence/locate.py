@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -36,7 +37,7 @@ from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import FEW, NEAR, FilteredSolution, Iterate, solve_filtered
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
-from oed_sysid.likelihood.random_forces import begun, solved
+from oed_sysid.likelihood.random_forces import begun, likeliest_decade, solved
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict
 from oed_sysid.text.units import shown_unit
 
@@ -406,19 +407,14 @@ class _Bench:
         least = told**-0.25 if told > 0 else 1.0
         size = max(least, np.sqrt(max(score, 0.0) / told)) if told > 0 else 1.0
 
-        def at(level: float) -> Iterate:
+        @cache
+        def at(decade: int) -> Iterate:
+            level = max(size * 10.0**decade, least)
             problem = self.quiet.problem.with_levels(self._levels(place, level))
             levels = problem.levels.vector(problem.levels.noise)
             return begun(problem, np.concatenate([others, levels]))
 
-        middle = best = at(size)
-        for factor in (10.0, 0.1):
-            level = factor * size
-            while level >= least and (now := at(level)).cost < best.cost:
-                best, level = now, factor * level
-            if best is not middle:
-                break
-        return best
+        return at(likeliest_decade(lambda decade: 2.0 * at(decade).cost, climb=False))
 
     def _levels(self, place: Place, size: float) -> Levels:
         """The level and time of one place unknown, and what nobody declared of the sensors."""

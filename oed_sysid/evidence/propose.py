@@ -32,8 +32,8 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.rank import N_REFITS, Refit, refitted
-from oed_sysid.evidence.residual_forces import let_in, rows_of
-from oed_sysid.evidence.score import Score
+from oed_sysid.evidence.residual_forces import let_in
+from oed_sysid.evidence.score import Rows, Score
 from oed_sysid.evidence.study import Study
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.disturbances import disturbed_equations
@@ -518,33 +518,25 @@ class TermScores:
             states = [part.path[:, problem.own] for part in passes]
             signals = Signals(problem.model, problem.dataset, states)
         dictionary = terms(problem.model, signals.signals)
-        gathered = problem.gathered(unknowns, passes)
-        matrix, right = problem.limits.with_priors(*gathered, unknowns)
+        known = Rows(problem, unknowns, passes)
+        basis = known.basis()
+        residual = known.residual - basis @ (basis.T @ known.residual)
         n_terms = len(dictionary)
-        cross, along = np.zeros((len(right), n_terms)), np.zeros(n_terms)
+        shadow, along = np.zeros((basis.shape[1], n_terms)), np.zeros(n_terms)
         full, kept_rows = np.zeros(n_terms), []
-        for index, (part, path, scope) in enumerate(
-            zip(passes, paths, signals.values, strict=True)
-        ):
-            white = np.nan_to_num(part.innovations / np.sqrt(part.variances)).ravel()
-            own = rows_of(problem, unknowns, index, part.rows).reshape(len(white), -1)
-            rows = path.responses(_driven(problem, path, dictionary, scope)).reshape(len(white), -1)
-            cross[problem.layout.record_columns(index)] += own.T @ rows
-            along -= rows.T @ white
+        for part, path, scope in zip(known.parts, paths, signals.values, strict=True):
+            driven = _driven(problem, path, dictionary, scope)
+            rows = path.responses(driven).reshape(-1, n_terms)
+            shadow += basis[part].T @ rows
+            along -= rows.T @ residual[part]
             full += np.sum(rows**2, axis=0)
             # Thousands of terms: single precision serves to tell which of them are alike.
             kept_rows.append(rows.astype(np.float32))
-        # Known unknowns are projected out in an orthonormal basis of what the records see of them.
-        size = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), np.inf))
-        values, vectors = np.linalg.eigh(matrix / size[:, None] / size)
-        seen = values > 1e-11 * values.max()
-        basis = vectors[:, seen] / np.sqrt(values[seen]) / size[:, None]
-        step, shadow = basis.T @ right, basis.T @ cross
         left = np.sqrt(np.maximum(full - np.sum(shadow**2, axis=0), 0.0))
         usable = np.flatnonzero((left > ABSORBED * np.sqrt(full)) & (full > 0))
         root = np.zeros(n_terms)
         # Signed root of the score statistic: its square is chi-squared of one degree of freedom.
-        root[usable] = (along - shadow.T @ step)[usable] / left[usable]
+        root[usable] = along[usable] / left[usable]
         order = usable[np.argsort(-(root[usable] ** 2))]
         first = order[:60]  # likeness of the strongest is looked at
         likeness = (

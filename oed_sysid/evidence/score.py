@@ -27,10 +27,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 
+from oed_sysid.compiled.filtering import FilterPass
 from oed_sysid.evidence.preparation import ENOUGH
 from oed_sysid.evidence.residual_forces import rows_of
 from oed_sysid.evidence.study import Study
@@ -94,31 +95,36 @@ class Score:
         return self.distinct < ABSORBED
 
 
-class _Rows:
+class Rows:
     """Innovations of all records in units of their standard deviation, with derivatives.
 
-    ``passes``, ``times`` and the innovations ``scaled`` so ``(n_times, n_outputs)``, NaN if none,
-    are per record. ``residual`` ``(n_rows,)`` holds every sample of every output, zero where it was
-    not measured, and the priors; ``known`` are columns of the unknowns of the fit, ``extra`` those
-    of ``smooth`` candidates along the same pass, by name.
+    ``passes``, ``times``, the innovations ``scaled`` so ``(n_times, n_outputs)``, NaN if none, and
+    the ``parts`` of the rows that are theirs are per record. ``residual`` ``(n_rows,)`` holds every
+    sample of every output, zero where it was not measured, and the priors; ``known`` are columns of
+    the unknowns, ``extra`` those of ``smooth`` candidates along the same pass, by name.
     """
 
-    def __init__(self, fit: FilteredSolution, smooth: Sequence[str]) -> None:
-        self.fit, problem, unknowns = fit, fit.problem, fit.point.unknowns
-        layout, limits = problem.layout, problem.limits
+    def __init__(
+        self,
+        problem: Filtered,
+        unknowns: np.ndarray,
+        passes: Sequence[FilterPass],
+        smooth: Sequence[str] = (),
+    ) -> None:
+        layout, limits, self.passes = problem.layout, problem.limits, passes
         n_known = layout.levels.start
-        names = (*layout.free_names, *smooth)
-        self.passes = problem.passes(unknowns, rows=True, gains=True, names=names)
-        self.scaled = [part.innovations / np.sqrt(part.variances) for part in self.passes]
+        self.scaled = [part.innovations / np.sqrt(part.variances) for part in passes]
         self.times = [record.times for record in problem.records]
         known, extra = [], []
-        for index, part in enumerate(self.passes):
+        for index, part in enumerate(passes):
             columns, size = layout.record_columns(index), part.innovations.size
             rows = rows_of(problem, unknowns, index, part.rows, len(smooth)).reshape(size, -1)
             block = np.zeros((len(rows), n_known))
             block[:, columns] = -rows[:, : len(columns)]
             known.append(block)
             extra.append(-rows[:, len(columns) :])
+        ends = np.cumsum([0, *map(len, known)])
+        self.parts = [slice(*ends) for ends in pairwise(ends)]
         held = np.flatnonzero(limits.prior_weight[: len(layout.shared)] > 0)
         roots = np.sqrt(limits.prior_weight[held])
         known.append(roots[:, None] * np.eye(n_known)[held])
@@ -127,6 +133,13 @@ class _Rows:
         self.residual = np.concatenate([*map(_row, self.scaled), away])
         self.known = np.concatenate(known)
         self.extra = dict(zip(smooth, np.concatenate(extra).T, strict=True))
+
+    def basis(self, apart: Sequence[int] = ()) -> np.ndarray:
+        """Orthonormal basis of what the unknowns explain, ``(n_rows, n)``, some left apart."""
+        # Columns that move nothing cannot be scaled, and explain nothing.
+        size = np.linalg.norm(self.known, axis=0)
+        along = (size > 0) & ~np.isin(np.arange(len(size)), apart)
+        return np.linalg.qr(self.known[:, along] / size[along])[0]
 
     def moved(self, innovations: Sequence[np.ndarray]) -> np.ndarray:
         """Rows by which innovations fall short of these, ``(n_rows,)``."""
@@ -138,9 +151,8 @@ class _Rows:
 
     def by_record(self, columns: np.ndarray) -> np.ndarray:
         """A column for every record in place of one for all, ``(n_rows, n_columns*n_records)``."""
-        apart, begin = np.zeros((*columns.shape, len(self.passes))), 0
-        for index, part in enumerate(self.passes):
-            rows = slice(begin, begin := begin + part.innovations.size)
+        apart = np.zeros((*columns.shape, len(self.parts)))
+        for index, rows in enumerate(self.parts):
             apart[rows, :, index] = columns[rows]
         return apart.reshape(len(columns), -1)
 
@@ -181,16 +193,15 @@ def scores(
     if not candidates:
         return [], np.zeros(0)
     fit = study.widened(fit)
+    problem, unknowns = fit.problem, fit.point.unknowns
     plain = (e for e in candidates if not e.shape_names and two_sided(e))
     smooth = [name for effect in plain for name in effect.amplitude_names]
-    rows = _Rows(fit, smooth)
-    # Columns that move nothing cannot be scaled, and explain nothing.
-    along = np.linalg.norm(rows.known, axis=0) > 0
-    shared = fit.problem.layout.shared_names
-    along[: len(shared)] &= [name not in apart for name in shared]
-    known = rows.known[:, along]
+    names = (*problem.layout.free_names, *smooth)
+    passes = problem.passes(unknowns, rows=True, gains=True, names=names)
+    rows = Rows(problem, unknowns, passes, smooth)
+    shared = problem.layout.shared_names
     # Frisch-Waugh: what is left of residual and signature once the unknowns are refitted.
-    basis, _ = np.linalg.qr(known / np.linalg.norm(known, axis=0))
+    basis = rows.basis([i for i, name in enumerate(shared) if name in apart])
 
     def projected(columns: np.ndarray) -> np.ndarray:
         return columns - basis @ (basis.T @ columns)
@@ -199,7 +210,7 @@ def scores(
     # Sizes and starts of single records are estimated anew on the validation records.
     n_records = len(rows.passes) + len(study.validation or ())
     best: dict[str, Score] = {}
-    for effect, shape, raw in _variants(study, candidates, rows):
+    for effect, shape, raw in _variants(fit, candidates, rows):
         score = _score(effect, shape, raw, projected(raw), residual, n_records)
         if effect.name not in best or score.statistic > best[effect.name].statistic:
             best[effect.name] = replace(score, trials=_trials(effect, rows))
@@ -274,7 +285,7 @@ def _parameter(effect: Effect, name: str) -> Parameter:
 
 
 def _variants(
-    study: Study, candidates: Sequence[Effect], rows: _Rows
+    fit: FilteredSolution, candidates: Sequence[Effect], rows: Rows
 ) -> Iterator[tuple[Effect, dict[str, float], np.ndarray]]:
     """Columns ``(n_rows, n_amplitudes)`` of every candidate, for every shape it may have."""
     for effect in candidates:
@@ -284,7 +295,7 @@ def _variants(
             columns = (
                 np.column_stack([rows.extra[name] for name in effect.amplitude_names])
                 if is_smooth
-                else _secant(study, effect, shape, rows, size)
+                else _secant(fit, effect, shape, rows, size)
             )
             if columns is not None:
                 yield effect, shape, rows.by_record(columns) if _local_names(effect) else columns
@@ -296,12 +307,12 @@ def two_sided(effect: Effect) -> bool:
 
 
 def _secant(
-    study: Study, effect: Effect, shape: dict[str, float], rows: _Rows, share: float
+    fit: FilteredSolution, effect: Effect, shape: dict[str, float], rows: Rows, share: float
 ) -> np.ndarray | None:
     """Change of the innovations per unit of each amplitude, from nothing to a share of its size."""
     names = effect.amplitude_names
     groups = [names] if not two_sided(effect) else [(name,) for name in names]
-    fit, problem = rows.fit, rows.fit.problem
+    problem = fit.problem
     model = problem.model + effect
     columns = []
     for group in groups:
@@ -311,7 +322,7 @@ def _secant(
             model.with_values(fit.values | shape | sizes),
             problem.dataset,
             problem.levels.starting(fit.noise).held(),
-            kernel=study.kernel_by(model.step),
+            kernel=problem.kernel,
         )
         unknowns = trial.point(fit.initial, fit.local).unknowns
         found = problem.replayed(trial, unknowns, rows.passes)
@@ -326,7 +337,7 @@ def _swings(effect: Effect, parameter: Parameter) -> bool:
     return parameter.unit == "rad/s" and "t" in effect.uses()
 
 
-def _trials(effect: Effect, rows: _Rows) -> float:
+def _trials(effect: Effect, rows: Rows) -> float:
     """Frequencies that the longest record tells apart within the bounds of an effect."""
     longest = max(float(t[-1] - t[0]) for t in rows.times)
     ranges = [
@@ -337,7 +348,7 @@ def _trials(effect: Effect, rows: _Rows) -> float:
     return max(1.0, max(ranges, default=0.0) * longest / (2.0 * np.pi))
 
 
-def _shapes(effect: Effect, rows: _Rows) -> list[dict[str, float]]:
+def _shapes(effect: Effect, rows: Rows) -> list[dict[str, float]]:
     """Grid over the bounds of the shape parameters, fine in the first and coarse in others.
 
     Where a term swings in time, the frequencies at which the innovations do are beside the grid,

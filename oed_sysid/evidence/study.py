@@ -41,7 +41,7 @@ from oed_sysid.likelihood.gauss_newton import FROZEN_TOLERANCE, FilteredSolution
 from oed_sysid.likelihood.integration import resolved
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
-from oed_sysid.likelihood.noise_model import Disturbances, Levels, NoiseModel, Sea, seas_in
+from oed_sysid.likelihood.noise_model import Disturbances, Levels, NoiseModel, forces_in, seas_in
 from oed_sysid.likelihood.projection import eliminate
 from oed_sysid.likelihood.random_forces import (
     Start,
@@ -178,7 +178,8 @@ class Study:
         narrow, kernel = (_kernel(model, one, setting) for one in ((), effects))
         setting = replace(setting, kernel=narrow)
         plain, end = _white_fit(model, train)
-        starts = [_nominal_start(model, train, white), *([] if end is None else [end])]
+        shooting = Shooting(model, train, white)
+        starts = [Start.at(shooting, shooting.start_unknowns()), *([] if end is None else [end])]
         test = _best_test(setting, starts)
         level = np.where(np.isin(test.noise.places, absent), 0.0, test.noise.force)
         test = replace(test, noise=replace(test.noise, force=level))
@@ -507,13 +508,8 @@ def _disturbed_places(
             f"Model {model.name!r} has no equation with a parameter in which physics could be "
             "missing."
         ) from error
-    acting = places
-    if disturbances == "none":
-        acting = ()
-    elif disturbances not in ("auto", "all"):
-        given = (disturbances,) if isinstance(disturbances, str | Sea) else disturbances
-        names = [one for one in given if isinstance(one, str)]
-        acting = chosen_places(model, names) if names else places
+    asked = forces_in(disturbances)
+    acting = () if asked == "none" else chosen_places(model, asked)
     absent = [place.name for place in places if place not in acting]
     return tuple(dict.fromkeys((*places, *acting))), absent
 
@@ -548,15 +544,6 @@ def _white_fit(model: Model, train: Dataset) -> tuple[Fit, Start | None]:
     fit = PLAIN.fit(model, train)
     ended = Start(fit.model.values, fit.initial_states, fit.local_values)
     return fit, ended if np.isfinite(fit.cost) else None
-
-
-def _nominal_start(model: Model, dataset: Dataset, white: np.ndarray) -> Start:
-    """A model's own values, and start states from measurements and kinematics."""
-    shooting = Shooting(model, dataset, white)
-    unknowns = shooting.start_unknowns()
-    own = [shooting.initial_state(unknowns, index).copy() for index in range(len(dataset))]
-    local = [{p.name: p.value for p in model.free_parameters if p.per_record} for _ in own]
-    return Start(model.values, own, local)
 
 
 def _best_test(setting: Setting, starts: Sequence[Start]) -> ScoreTest:

@@ -41,7 +41,7 @@ from oed_sysid.likelihood.noise_levels import (
     start_levels,
     without_spikes,
 )
-from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, Sea, seas_in
+from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, forces_in, seas_in
 from oed_sysid.likelihood.nonlinear_program import NonlinearProgram, constrained, solve_innovations
 from oed_sysid.likelihood.random_forces import (
     FIRST_STEPS,
@@ -478,7 +478,7 @@ class MultipleShooting:
 
     def _places(self, model: Model, declared: Sequence[RandomProcess]) -> tuple[Place, ...] | None:
         """Where process noise may act; None where there is no such place."""
-        asked = _asked(self.disturbances)
+        asked = forces_in(self.disturbances)
         try:
             places = () if asked == "none" else chosen_places(model, asked)
         except ModelError:
@@ -604,14 +604,6 @@ class _Task:
     carried: Start | None = None
 
 
-def _asked(given: Disturbances) -> str | tuple[str, ...]:
-    """Places that disturbances are asked for; all where nothing but a sea is."""
-    if isinstance(given, str):
-        return "all" if given == "auto" else given
-    named = () if isinstance(given, Sea) else given
-    return tuple(one for one in named if isinstance(one, str)) or "all"
-
-
 def _after(end: Solution, *earlier: Solution) -> Solution:
     """An end, the iterations that led elsewhere before counted too."""
     return replace(end, iterations=end.iterations + sum(one.iterations for one in earlier))
@@ -694,7 +686,7 @@ def _starts(fit: Fit, setting: Setting) -> list[Start]:
         return [here]
     known = setting.known_starts
     begin = Shooting(setting.model, fit.dataset, setting.white, known_starts=known)
-    nominal = _start_at(begin, begin.start_unknowns())
+    nominal = Start.at(begin, begin.start_unknowns())
     return [here, nominal] if np.isfinite(fit.cost) else [nominal]
 
 
@@ -796,13 +788,7 @@ def _carried(shooting: Shooting, point: Point, warm: Fit | None) -> Start | None
     """Where an earlier fit with disturbance forces or coloured sensors ended, to go on from."""
     if warm is None or warm.noise is None or warm.noise.is_white:
         return None
-    return _start_at(shooting, point.unknowns, warm.noise)
-
-
-def _start_at(shooting: Shooting, unknowns: np.ndarray, noise: NoiseModel | None = None) -> Start:
-    """Where an estimation with process noise begins, at some unknowns of one without."""
-    states = [shooting.initial_state(unknowns, i) for i in range(len(shooting.records))]
-    return Start(shooting.model.values, states, shooting.layout.local_values(unknowns), noise)
+    return Start.at(shooting, point.unknowns, warm.noise)
 
 
 def _is_white(fit: Fit) -> bool:

@@ -343,6 +343,14 @@ def seas_in(disturbances: Disturbances) -> tuple[Sea, ...]:
     return tuple(one for one in given if isinstance(one, Sea))
 
 
+def forces_in(disturbances: Disturbances) -> str | tuple[str, ...]:
+    """Places that disturbances are asked for; all where nothing but a sea is."""
+    if isinstance(disturbances, str):
+        return "all" if disturbances == "auto" else disturbances
+    named = () if isinstance(disturbances, Sea) else disturbances
+    return tuple(one for one in named if isinstance(one, str)) or "all"
+
+
 def step_within(times: np.ndarray, most: float) -> float | None:
     """Longest step between some samples of at most a time, s; None for their median."""
     if not np.isfinite(most) or len(times) < 2:

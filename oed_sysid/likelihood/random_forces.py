@@ -241,7 +241,7 @@ def _likeliest_level(
         least[variances] = (1.0 / stride - 1.0) * unknowns[variances]
         return np.maximum(lower, least), np.minimum(upper, most)
 
-    decade = _likeliest_decade(lambda one: problem.objective(at(one)), climb=climb)
+    decade = likeliest_decade(lambda one: problem.objective(at(one)), climb=climb)
     if len(forces) < 2:  # no proportions
         return begun(problem, at(decade))
     evaluate = partial(whitened, levels_only=True)
@@ -253,7 +253,7 @@ def _likeliest_level(
     return descent.lowest
 
 
-def _likeliest_decade(objective: Callable[[int], float], *, climb: bool) -> int:
+def likeliest_decade(objective: Callable[[int], float], *, climb: bool) -> int:
     """The likeliest decade of all levels: by strides while likelier, then by single ones.
 
     There may be several valleys where values are far off.

@@ -49,7 +49,7 @@ from oed_sysid.likelihood.noise_model import (
     disturbance_names,
 )
 from oed_sysid.likelihood.projection import gain_within
-from oed_sysid.likelihood.shooting import Point
+from oed_sysid.likelihood.shooting import Point, Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
 
@@ -299,6 +299,12 @@ class Start:
     initial: Sequence[np.ndarray]
     local: Sequence[Mapping[str, float]]
     noise: NoiseModel | None = None
+
+    @classmethod
+    def at(cls, shooting: Shooting, unknowns: np.ndarray, noise: NoiseModel | None = None) -> Start:
+        """Where an estimation with process noise begins, at some unknowns of one without."""
+        states = [shooting.initial_state(unknowns, i) for i in range(len(shooting.records))]
+        return cls(shooting.model.values, states, shooting.layout.local_values(unknowns), noise)
 
 
 @dataclass(frozen=True, eq=False)
