@@ -198,28 +198,28 @@ def plain(label: str) -> str:
 
 def chain(located: Located) -> str:
     """Return the signal chain as HTML, each place coloured by how close it comes to the best."""
-    top = max((located.gains.get(p.name, 0.0) for p in located.places), default=0.0)
     stages = []
     for stage, words in _STAGES.items():
         here = [place for place in located.places if place.stage == stage]
         if not here and stage != "command":
             continue
         inner = (
-            "".join(_box(located, place, top) for place in here)
+            "".join(_box(located, place) for place in here)
             or '<span class="place l0">as logged</span>'
         )
         stages.append(f'<div class="stage"><h4>{words}</h4>{inner}</div>')
     return f'<div class="oed-chain">{"<b>→</b>".join(stages)}</div>'
 
 
-def _box(located: Located, place: Place, top: float) -> str:
+def _box(located: Located, place: Place) -> str:
     """One place of the chain, coloured by how far its gain is behind the best one."""
     gain = located.gains.get(place.name, 0.0)
-    behind = top - gain
+    behind = located.top - gain
     best = " best" if place.name == located.best else ""
     level = 4 if place.name in located.group else 0
     if not level and gain > CLEAR:
-        level = 1 + (behind < 0.5 * top) + (behind < 0.1 * top)  # three strengths of one colour
+        # Three strengths of one colour.
+        level = 1 + (behind < 0.5 * located.top) + (behind < 0.1 * located.top)
     said = "best" if best else f"{behind:,.0f} behind" if gain > CLEAR else "chance"
     size = located.levels.get(place.name, 0.0)
     tip = f"{place.name}: likelihood-ratio statistic {gain:.0f}; size {size:.2g} {place.unit}"
@@ -574,15 +574,14 @@ def _chain(located: Located) -> None:
     st.html(chain(located))
     st.caption(
         "How far the likelihood-ratio statistic of something unknown at each place is behind "
-        f"that of the best, {max(located.gains.values(), default=0.0):,.0f}: the stronger the "
+        f"that of the best, {located.top:,.0f}: the stronger the "
         f"colour, the likelier the place. Outlined: the best. Chance gains up to {CLEAR:.0f}."
     )
 
 
 def _force(located: Located, dataset: Dataset, fit: Fit | None, key: str) -> None:
     left, right = st.columns(2)
-    worst = (located.best or "").removeprefix("force ")
-    first = located.force_names.index(worst) if worst in located.force_names else 0
+    first = located.force_names.index(located.equation)
     equation = left.selectbox(
         "Residual force of", located.force_names, index=first, key=f"equation:{key}"
     )

@@ -110,6 +110,16 @@ class Located:
         return cls(where, zero, dict(zero), (), (), {}, {})
 
     @property
+    def top(self) -> float:
+        """Largest gain; an identity of kinematics may have it and not be the best place."""
+        return max(self.gains.values(), default=0.0)
+
+    @property
+    def equation(self) -> str:
+        """Equation of the residual force with the largest gain; empty without any."""
+        return max(self.force_names, key=lambda n: self.gains.get(f"force {n}", 0.0), default="")
+
+    @property
     def best(self) -> str | None:
         """Place with the largest gain; None where chance explains all of it."""
         name = self.places[0].name
@@ -121,8 +131,7 @@ class Located:
         if self.best is None:
             return ()
         top = self.gains[self.best]
-        near = (name for name, gain in self.gains.items() if abs(top - gain) < GROUP_WIDTH)
-        return tuple(near)
+        return tuple(n for n, gain in self.gains.items() if abs(top - gain) < GROUP_WIDTH)
 
     @property
     def verdict(self) -> str:
@@ -150,14 +159,13 @@ class Located:
             "where the model fails", "likelihood-ratio statistic", "behind the best", "size",
             "unit",
         )  # fmt: skip
-        top = max(self.gains.values())
         rows = []
         for place in self.places[:MOST_DRAWN]:
             gain = self.gains[place.name]
             if gain > CLEAR:
                 factor, unit = shown_unit(place.unit)
                 size = f"{factor * self.levels[place.name]:.2g}"
-                rows.append((place.name, f"{gain:,.0f}", f"{top - gain:,.0f}", size, unit))
+                rows.append((place.name, f"{gain:,.0f}", f"{self.top - gain:,.0f}", size, unit))
         tables = [Table(headers, rows)] if rows else []
         words = [self.verdict]
         if self.best is not None:
@@ -193,14 +201,13 @@ class Located:
             )
         ]  # fmt: skip
         if self.best is not None and train is not None and self.force_names:
-            equation = max(self.force_names, key=lambda n: self.gains.get(f"force {n}", 0.0))
             drawings.append(
                 Figure(
                     "figure_force", self,
-                    f"Residual force of the {equation} equation: over time with its 95 % band, and "
-                    "against measured signals and commands (points: means with 95 % intervals). A "
-                    "curve that repeats itself is a law that the model lacks.",
-                    (equation, train),
+                    f"Residual force of the {self.equation} equation: over time with its 95 % "
+                    "band, and against measured signals and commands (points: means with 95 % "
+                    "intervals). A curve that repeats itself is a law that the model lacks.",
+                    (self.equation, train),
                 )
             )  # fmt: skip
         return drawings

@@ -186,8 +186,7 @@ def force_equation(improvement: Improvement) -> str:
     """
     located = improvement.location
     wished = [str(key) for step in improvement.steps[:1] for key in step.effect.terms]
-    wished.append((located.best or "").removeprefix("force "))
-    for name in (*wished, *located.force_names):
+    for name in (*wished, located.equation):
         if name in located.force_names:
             return name
     raise DataError("There is no residual force in this finding.")
@@ -242,7 +241,7 @@ def plot_located(located: Located, *, n_shown: int = 14, ax: Axes | None = None)
     Axes
         What was drawn on; its label is what the picture shows, in words.
     """
-    top = max([*located.gains.values(), 0.0])
+    top = located.top
     places = [(place.name, top - located.gains[place.name]) for place in located.places]
     places = [*places[:n_shown], ("no disturbance", top)]
     ax, rows = draw.row_axes(ax, [name for name, _ in places], 6.4)
