@@ -36,7 +36,7 @@ from oed_sysid.evidence.residual_forces import let_in
 from oed_sysid.evidence.score import Rows, Score
 from oed_sysid.evidence.study import Study
 from oed_sysid.information.shifts import GROUP_WIDTH
-from oed_sysid.likelihood.disturbances import disturbed_equations
+from oed_sysid.likelihood.disturbances import disturbed_equations, equation_units
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import ALIKE
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
@@ -167,11 +167,7 @@ def _coefficient_unit(term: Term, model: Model, units: Mapping[str, str]) -> str
     factor = (
         Dimension() if term.expression == "1" else dimensions.dimension_of(term.expression, known)
     )
-    if term.equation in model.axes:
-        force = dimension("N m" if term.equation in ("K", "M", "N") else "N")
-    else:
-        unit = next(state.unit for state in model.states if state.name == term.equation)
-        force = dimension(unit) / dimension("s")
+    force = dimension(equation_units(model)[term.equation])
     # Radians are dropped, as in the units of derivatives.
     return "" if factor is None else str((force / factor).plain)
 

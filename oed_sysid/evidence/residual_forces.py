@@ -20,10 +20,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from oed_sysid.compiled.filtering import FilterPass
+from oed_sysid.evidence.score import Rows
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.projection import bounded_step, inverse_of
+from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.smoother import smoothable
 from oed_sysid.runtime.display import as_dict
 
@@ -105,31 +107,35 @@ class ResidualForces:
     problem : Filtered
         With no level unknown.
     unknowns : ndarray (n_unknowns,)
+    rows : Rows
+        Innovations and their derivatives by the unknowns.
+    covariance : ndarray (n_unknowns, n_unknowns)
+        Of the unknowns.
     paths : sequence of Path
         Of every record.
     columns : list of ndarray (n_times, n_disturbances, n_unknowns_here)
         Derivatives of the smoothed disturbances by the unknowns of each record.
-    innovations : list of ndarray (n_times, n_outputs)
     """
 
     def __init__(self, problem: Filtered, unknowns: np.ndarray) -> None:
         self.problem, self.unknowns = problem, unknowns
         passes, self.paths = smoothable(problem, unknowns)
-        self.matrix, self.right = problem.gathered(unknowns, passes)
-        self.innovations = [part.innovations for part in passes]
+        self.rows = rows = Rows(problem, unknowns, passes)
+        self.covariance = inverse_of(rows.known.T @ rows.known)
         self.columns = []
         for index, (part, path) in enumerate(zip(passes, self.paths, strict=True)):
-            rows = rows_of(problem, unknowns, index, part.rows)
-            self.columns.append(path.disturbances(rows * np.sqrt(part.variances)[:, :, None]))
+            here = rows.known[rows.parts[index]][:, problem.layout.record_columns(index)]
+            here = here.reshape(*part.innovations.shape, -1)
+            self.columns.append(path.disturbances(-here * np.sqrt(part.variances)[:, :, None]))
 
     def series(self) -> Iterator[Series]:
         """Smoothed disturbances, per record."""
-        covariance = inverse_of(self.matrix + np.diag(self.problem.limits.prior_weight))
-        smoothed = self._smoothed(self.innovations, self.right)
+        right = self.rows.known.T @ self.rows.residual
+        smoothed = self._smoothed(self.rows.passes, right)
         parts = zip(self.paths, self.columns, smoothed, strict=True)
         for index, (path, columns, values) in enumerate(parts):
             where = self.problem.layout.record_columns(index)
-            spread = np.sum((columns @ covariance[np.ix_(where, where)]) * columns, axis=2)
+            spread = np.sum((columns @ self.covariance[np.ix_(where, where)]) * columns, axis=2)
             std = np.sqrt(path.std**2 + np.maximum(spread, 0.0))
             yield Series(self.problem.records[index].times, values, std)
 
@@ -146,32 +152,16 @@ class ResidualForces:
         ndarray (n_times, n_disturbances)
         """
         passes = self.problem.passes(self.unknowns, measured=measured)
-        _, right = self.problem.gathered(self.unknowns, passes)
-        return self._smoothed([part.innovations for part in passes], right)
+        gathered = self.problem.gathered(self.unknowns, passes)
+        _, right = self.problem.limits.with_priors(*gathered, self.unknowns)
+        return self._smoothed(passes, right)
 
-    def _smoothed(
-        self, innovations: Sequence[np.ndarray], right: np.ndarray
-    ) -> Iterator[np.ndarray]:
-        matrix, right = self.problem.limits.with_priors(self.matrix, right, self.unknowns)
-        free = np.full(len(right), np.inf)
-        step = bounded_step(matrix, right, -free, free, 0.0)
-        for index, (path, part) in enumerate(zip(self.paths, innovations, strict=True)):
-            own = path.disturbances(part[:, :, None])[:, :, 0]
+    def _smoothed(self, passes: Sequence[FilterPass], right: np.ndarray) -> Iterator[np.ndarray]:
+        step = self.covariance @ right
+        for index, (path, part) in enumerate(zip(self.paths, passes, strict=True)):
+            own = path.disturbances(part.innovations[:, :, None])[:, :, 0]
             where = self.problem.layout.record_columns(index)
             yield own + self.columns[index] @ step[where]
-
-
-def rows_of(
-    problem: Filtered, unknowns: np.ndarray, index: int, rows: np.ndarray | None, more: int = 0
-) -> np.ndarray:
-    """Rows of a pass by the unknowns of its record, and so many more, zero where not measured."""
-    assert rows is not None
-    layout = problem.layout
-    where = layout.record_columns(index)
-    size = np.ones(len(where) + more)
-    size[layout.n_own : len(where)] = layout.slopes(unknowns[where[layout.n_own :]])
-    known = np.isfinite(problem.records[index].outputs)[:, :, None]
-    return np.where(known, rows[:, :, : len(size)] * size, 0.0)
 
 
 def agreement(forces: Sequence[Series], signature: Sequence[np.ndarray]) -> float:

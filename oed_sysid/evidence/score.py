@@ -33,7 +33,6 @@ import numpy as np
 
 from oed_sysid.compiled.filtering import FilterPass
 from oed_sysid.evidence.preparation import ENOUGH
-from oed_sysid.evidence.residual_forces import rows_of
 from oed_sysid.evidence.study import Study
 from oed_sysid.information.response import TANGENT
 from oed_sysid.likelihood.filtered import Filtered
@@ -117,15 +116,20 @@ class Rows:
         self.times = [record.times for record in problem.records]
         known, extra = [], []
         for index, part in enumerate(passes):
-            columns, size = layout.record_columns(index), part.innovations.size
-            rows = rows_of(problem, unknowns, index, part.rows, len(smooth)).reshape(size, -1)
+            assert part.rows is not None
+            columns = layout.record_columns(index)
+            # The chain rule, where unknowns are logarithms; zero where nothing was measured.
+            size = np.ones(len(columns) + len(smooth))
+            size[layout.n_own : len(columns)] = layout.slopes(unknowns[columns[layout.n_own :]])
+            seen = np.isfinite(problem.records[index].outputs)[:, :, None]
+            rows = np.where(seen, -size * part.rows[:, :, : len(size)], 0.0).reshape(-1, len(size))
             block = np.zeros((len(rows), n_known))
-            block[:, columns] = -rows[:, : len(columns)]
+            block[:, columns] = rows[:, : len(columns)]
             known.append(block)
-            extra.append(-rows[:, len(columns) :])
+            extra.append(rows[:, len(columns) :])
         ends = np.cumsum([0, *map(len, known)])
         self.parts = [slice(*ends) for ends in pairwise(ends)]
-        held = np.flatnonzero(limits.prior_weight[: len(layout.shared)] > 0)
+        held = np.flatnonzero(limits.prior_weight[:n_known] > 0)
         roots = np.sqrt(limits.prior_weight[held])
         known.append(roots[:, None] * np.eye(n_known)[held])
         extra.append(np.zeros((len(held), len(smooth))))

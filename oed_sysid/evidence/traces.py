@@ -156,10 +156,8 @@ class Trace:
 
     def pieces(self, usable: np.ndarray, least: int) -> list[slice]:
         """Stretches of usable samples between gaps in time, of at least ``least`` samples."""
-        steps = np.diff(self.times)
-        if usable.all() and steps.max() <= GAP * self.step:
-            return [slice(0, self.times.size)] if self.times.size >= least else []
-        broken = np.flatnonzero((steps > GAP * self.step) | ~usable[1:] | ~usable[:-1]) + 1
+        apart = np.diff(self.times) > GAP * self.step
+        broken = np.flatnonzero(apart | ~usable[1:] | ~usable[:-1]) + 1
         edges = [0, *broken.tolist(), self.times.size]
         whole = (slice(a, b) for a, b in pairwise(edges) if b - a >= least)
         return [piece for piece in whole if usable[piece].all()]

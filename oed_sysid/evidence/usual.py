@@ -25,7 +25,7 @@ from oed_sysid.evidence.check import LogCheck
 from oed_sysid.evidence.propose import HORIZONTAL, Factors, Term, cyclic, product_text
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.experiments.simulation import simulate
-from oed_sysid.likelihood.disturbances import disturbance, places
+from oed_sysid.likelihood.disturbances import disturbance, equation_units, places
 from oed_sysid.likelihood.start_guess import (
     check_channels,
     kinematic_states,
@@ -281,12 +281,11 @@ class _Equation:
 
 def _equations(model: Model, sizes: Sizes) -> Iterator[_Equation]:
     """Equations that may lack a force; coordinates that merely integrate a velocity do not."""
-    units, still = _units(model), cyclic(model)
+    units, still, loads = _units(model), cyclic(model), equation_units(model)
     for name, state, size in _sized(model, sizes):
         if state in still:
             continue
-        moment = "N m" if name in ("K", "M", "N") else "N"
-        load = moment if model.axes else str((dimension(units[state]) / dimension("s")).plain)
+        load = loads[name] if model.axes else str(dimension(loads[name]).plain)
         places = [p for p, text in model.kinematics.items() if text == state and p in units]
         yield _Equation(name, state, size, load, units[state], next(iter(places), ""))
 

@@ -76,7 +76,7 @@ def places(model: Model) -> tuple[Place, ...]:
     found += [
         Place("flow", signal, state_units.get(text, "")) for signal, text in model.signals.items()
     ]
-    rates = _rates(model)
+    rates = equation_units(model)
     found += [Place("force", name, rates[name]) for name in equations]
     found += [
         Place("kinematics", name, rates[name]) for name in model.kinematics if name not in equations
@@ -85,7 +85,7 @@ def places(model: Model) -> tuple[Place, ...]:
     return tuple(found)
 
 
-def _rates(model: Model) -> dict[str, str]:
+def equation_units(model: Model) -> dict[str, str]:
     """Units of what stands in the equations: rates by state, sums of forces by axis."""
     rates = {state.name: _rate(state.unit) for state in model.states}
     return rates | {axis: "N m" if axis in ("K", "M", "N") else "N" for axis in model.axes}
