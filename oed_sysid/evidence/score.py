@@ -119,8 +119,7 @@ class Rows:
             assert part.rows is not None
             columns = layout.record_columns(index)
             # The chain rule, where unknowns are logarithms; zero where nothing was measured.
-            size = np.ones(len(columns) + len(smooth))
-            size[layout.n_own : len(columns)] = layout.slopes(unknowns[columns[layout.n_own :]])
+            size = np.append(layout.record_slopes(unknowns, index), np.ones(len(smooth)))
             seen = np.isfinite(problem.records[index].outputs)[:, :, None]
             rows = np.where(seen, -size * part.rows[:, :, : len(size)], 0.0).reshape(-1, len(size))
             block = np.zeros((len(rows), n_known))
