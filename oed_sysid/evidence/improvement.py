@@ -17,6 +17,7 @@ from oed_sysid.evidence.locate import Located
 from oed_sysid.evidence.propose import Proposals
 from oed_sysid.evidence.rank import Ranking, hopeful
 from oed_sysid.evidence.remainder import Remains
+from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
 from oed_sysid.likelihood.noise_levels import signal_spread
 from oed_sysid.physics import Effect
@@ -576,8 +577,8 @@ def advice(result: Improvement) -> list[str]:
     believe, doubt, sea = list[str](), list[str](), list[str]()
     before, kind = result.base_error["test"], result.remains.kind
     for step in result.steps:
-        found, doubts = _judged(step, estimates, before)
-        believe.append(found)
+        found, doubts = _judged(step, estimates, before, told=kind in EXPLAINED)
+        believe += found
         doubt += doubts
         sea += _manoeuvre(step.group, known, bool(result.base.inputs))
         before = step.test_error
@@ -595,29 +596,35 @@ def advice(result: Improvement) -> list[str]:
 
 
 def _judged(
-    step: Any, estimates: Mapping[str, Mapping[str, Any]], before: float
-) -> tuple[str, list[str]]:
-    """What one step claims, and what of that is not to be believed."""
+    step: Any, estimates: Mapping[str, Mapping[str, Any]], before: float, *, told: bool
+) -> tuple[list[str], list[str]]:
+    """What one step claims, sizes where they are ``told``, and what is not to be believed."""
     own = [(estimates[p.name], p) for p in step.effect.parameters if p.name in estimates]
-    sizes = [*(_size(*one) for one in own), *_sizes(step)]
+    sizes = [*(_size(*one) for one in own), *_sizes(step)] if told else []
     shown, rivals, what = ", ".join(sizes), step.group[1:], " or ".join(step.group)
-    tested = not np.isnan(step.claim.validation)
-    found = f"{what} is missing{', the validation records agree' * tested}"
+    size, predicted = f" ({shown})" * told, step.claim.validation
     unknown = ", ".join(p.name for row, p in own if not _is_told(row, p))
-    rises = step.test_error > RISE * before
-    doubts = {
+    absent = {
         # Correlated residuals widen the interval after a claim.
-        f"{what} before more records have shown it: the 95 % interval holds zero ({shown}).": own
+        f"{what} before more records have shown it: the 95 % interval holds zero{size}.": own
         and not any(abs(r["value"]) > display.TWO_SIDED_95 * r["std_error"] for r, _ in own),
+        f"that {what} acts in all records as in the training records: the validation records are "
+        f"less likely with it (2ΔlnL {predicted:.1f}). Name it with a size for each record "
+        f"(physics.in_each_record), or look for what differed.": predicted < -GROUP_WIDTH,
+    }
+    doubts = absent | {
         f"the size of {unknown}: these records do not give it.": unknown,
         f"{step.added} alone: with it whole validation runs are {step.test_error:.3g} x noise off, "
-        f"{before:.3g} before. Its claim rests on the model as a whole.": rises,
-        f"that it is {step.added} ({shown}): {', '.join(rivals)} "
+        f"{before:.3g} before. Its claim rests on the model as a whole.": (
+            step.test_error > RISE * before
+        ),
+        f"that it is {step.added}{size}: {', '.join(rivals)} "
         f"{'does' if len(rivals) == 1 else 'do'} as well.": rivals,
-        f"{step.added} before a validation record has confirmed it.": not tested,
+        f"{step.added} before a validation record has confirmed it.": np.isnan(predicted),
     }
-    told = f": {shown}." if sizes and not rivals else "."
-    return found + told, [text for text, applies in doubts.items() if applies]
+    agree, sized = ", the validation records agree", f": {shown}" * bool(sizes and not rivals)
+    found = [] if any(absent.values()) else [f"{what} is missing{agree * (predicted > 0)}{sized}."]
+    return found, [text for text, applies in doubts.items() if applies]
 
 
 def _not_shown(steps: Sequence[Any], ended: Ranking) -> list[str]:

@@ -366,6 +366,7 @@ def refit(
     where the first leads nowhere; then, noise levels free, what is usual: beside noise that is too
     small for what is missing, thresholds have many valleys.
     """
+    scored = [_with_room(score) for score in scored]
     effects = (*study.effects_of(fit), *(score.effect for score in scored))
     best: FilteredSolution | None = None
     reached = fit.objective - REACHED * max(score.statistic for score in scored)
@@ -378,6 +379,13 @@ def refit(
     if best is None:
         return None
     return Refit(tuple(scored), best, fit.objective - best.objective, needed)
+
+
+def _with_room(score: Score) -> Score:
+    """A score whose effect has no bound that nobody declared before its one-step estimate."""
+    limits = {p.name: (p.lower, p.upper) for p in score.effect.parameters}
+    within = all(limits[name][0] <= v <= limits[name][1] for name, v in score.estimate.items())
+    return score if within else replace(score, effect=score.effect.widened())
 
 
 def _begins(

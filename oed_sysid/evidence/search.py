@@ -285,8 +285,20 @@ def with_alike(state: Standing, ranking: Ranking) -> Standing:
         return state
     *others, last = state.added
     alike = imitated_by(state.study, state.fit, last.effect, absorbed)
-    group = tuple(dict.fromkeys((*last.group, *alike)))
+    rivals = [one.name for one in absorbed if one.name in alike and _replaces(state, last, one)]
+    group = tuple(dict.fromkeys((*last.group, *rivals)))
     return replace(state, added=(*others, replace(last, group=group)))
+
+
+def _replaces(state: Standing, last: Added, rival: Effect) -> bool:
+    """Whether the training records are as likely with a rival in the place of what was added last.
+
+    Near the fit a small change of one is like that of the other and of what is free; that of the
+    whole effect need not be.
+    """
+    effects = (*(one.effect for one in state.others(last)), rival)
+    found = state.study.estimate(effects, state.fit.values, state.fit)
+    return found is not None and found.objective - state.fit.objective < GROUP_WIDTH
 
 
 def with_waves(state: Standing, rival: Claim | None) -> Standing:
