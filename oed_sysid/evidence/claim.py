@@ -33,9 +33,11 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.misfit import WHITE_LEVEL
 from oed_sysid.evidence.study import Prediction, Study, total_error
+from oed_sysid.likelihood.departures import CLEARLY
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.information import whiteness
 from oed_sysid.likelihood.judgement import UNSEEN
+from oed_sysid.likelihood.projection import eliminate
 from oed_sysid.physics import Effect
 from oed_sysid.physics.parameters import Parameter, with_parameters
 from oed_sysid.runtime.display import as_dict
@@ -170,7 +172,8 @@ def claim(
     if not found.excess > 0.0:
         return found
     # An optimum at infinity, such as the lag of a sensor that stands still, is no size.
-    if endless := _amplitudes(after, effects, _runs_away):
+    large = _amplitudes(after, effects, _runs_away)
+    if endless := tuple(name for name in large if not _is_shown(after, name)):
         return replace(found, bounds=endless, beyond=np.inf)
     bounds = at_bounds(after, effects)
     return replace(found, bounds=bounds, beyond=_beyond(study, after, bounds)) if bounds else found
@@ -215,6 +218,17 @@ def at_bounds(fit: FilteredSolution, effects: Sequence[Effect]) -> tuple[str, ..
 def _runs_away(parameter: Parameter, value: float) -> bool:
     """Whether a value is beyond any that a size of this kind may have."""
     return abs(value) > UNSEEN * parameter.magnitude
+
+
+def _is_shown(fit: FilteredSolution, name: str) -> bool:
+    """Whether the training records tell an amplitude that all of them share from nothing."""
+    layout, n = fit.problem.layout, fit.problem.layout.n_unknowns
+    if name not in layout.shared_names:
+        return False
+    at = np.array([layout.shared_names.index(name)])
+    matrix = fit.matrix + np.diag(fit.problem.limits.prior_weight)
+    (told,) = eliminate(matrix, at, np.delete(np.arange(n), at)).ravel()
+    return bool(told * fit.point.unknowns[at[0]] ** 2 > CLEARLY**2)
 
 
 def _amplitudes(

@@ -600,13 +600,13 @@ def _judged(
 ) -> tuple[list[str], list[str]]:
     """What one step claims, sizes where they are ``told``, and what is not to be believed."""
     own = [(estimates[p.name], p) for p in step.effect.parameters if p.name in estimates]
-    sizes = [*(_size(*one) for one in own), *_sizes(step)] if told else []
+    sizes = [*(_size(*one) for one in own), *_sizes(step)]
     shown, rivals, what = ", ".join(sizes), step.group[1:], " or ".join(step.group)
-    size, predicted = f" ({shown})" * told, step.claim.validation
+    predicted = step.claim.validation
     unknown = ", ".join(p.name for row, p in own if not _is_told(row, p))
     absent = {
         # Correlated residuals widen the interval after a claim.
-        f"{what} before more records have shown it: the 95 % interval holds zero{size}.": own
+        f"{what} before more records have shown it: the 95 % interval holds zero ({shown}).": own
         and not any(abs(r["value"]) > display.TWO_SIDED_95 * r["std_error"] for r, _ in own),
         f"that {what} acts in all records as in the training records: the validation records are "
         f"less likely with it (2ΔlnL {predicted:.1f}). Name it with a size for each record "
@@ -618,11 +618,14 @@ def _judged(
         f"{before:.3g} before. Its claim rests on the model as a whole.": (
             step.test_error > RISE * before
         ),
-        f"that it is {step.added}{size}: {', '.join(rivals)} "
+        f"that it is {step.added} ({shown}): {', '.join(rivals)} "
         f"{'does' if len(rivals) == 1 else 'do'} as well.": rivals,
         f"{step.added} before a validation record has confirmed it.": np.isnan(predicted),
     }
-    agree, sized = ", the validation records agree", f": {shown}" * bool(sizes and not rivals)
+    agree, sized = (
+        ", the validation records agree",
+        f": {shown}" * bool(told and sizes and not rivals),
+    )
     found = [] if any(absent.values()) else [f"{what} is missing{agree * (predicted > 0)}{sized}."]
     return found, [text for text, applies in doubts.items() if applies]
 
@@ -661,9 +664,9 @@ def _manoeuvre(group: Sequence[str], known: Mapping[str, Any], commanded: bool) 
 
 
 def _is_told(row: Mapping[str, Any], parameter: Parameter) -> bool:
-    """Whether the records give a size: its interval is within what was possible anyway."""
+    """Whether the records give a size: its interval leaves out what was possible, or nothing."""
     widest = min(parameter.upper - parameter.lower, UNTOLD * parameter.magnitude)
-    return bool(display.TWO_SIDED_95 * row["std_error"] < widest)
+    return bool(display.TWO_SIDED_95 * row["std_error"] < max(widest, abs(row["value"])))
 
 
 def _unit(unit: str) -> str:

@@ -384,7 +384,7 @@ def refit(
 def _with_room(score: Score) -> Score:
     """A score whose effect has no bound that nobody declared before its one-step estimate."""
     limits = {p.name: (p.lower, p.upper) for p in score.effect.parameters}
-    within = all(limits[name][0] <= v <= limits[name][1] for name, v in score.estimate.items())
+    within = all(limits[name][0] < v < limits[name][1] for name, v in score.estimate.items())
     return score if within else replace(score, effect=score.effect.widened())
 
 

@@ -296,7 +296,7 @@ def _replaces(state: Standing, last: Added, rival: Effect) -> bool:
     Near the fit a small change of one is like that of the other and of what is free; that of the
     whole effect need not be.
     """
-    effects = (*(one.effect for one in state.others(last)), rival)
+    effects = (*(one.effect for one in state.others(last)), rival.widened())
     found = state.study.estimate(effects, state.fit.values, state.fit)
     return found is not None and found.objective - state.fit.objective < GROUP_WIDTH
 
