@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +15,22 @@ from test_shooting import diving_data
 from vehicles import remus
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model, yaw_record
 
-from oed_sysid import Dataset, Force, Model, MultipleShooting, Parameter, Solver
-from oed_sysid.errors import ModelError
+from oed_sysid import (
+    Dataset,
+    Fit,
+    Force,
+    Input,
+    Model,
+    MultipleShooting,
+    Output,
+    Parameter,
+    Record,
+    Solver,
+    State,
+)
+from oed_sysid.errors import ModelError, OedSysidError
+from oed_sysid.likelihood.multistart import profile
+from oed_sysid.likelihood.replay import replayed
 
 START = {"K": 0.08, "T": 12.0, "alpha": 6.0}
 ESTIMATOR = MultipleShooting(noise=NOISE, coloured="never", disturbances="none")
@@ -371,6 +387,40 @@ def test_diverging_model_is_a_status_that_advises() -> None:
     assert "signs and units" in fit.status.advice
     assert not fit.status.ok
     assert "diverged" in fit.report()
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("steep", [1e152, 1e160, 1e300])
+@pytest.mark.parametrize("disturbances", ["none", "auto"])
+def test_a_fit_with_derivatives_beyond_numbers_still_answers(
+    steep: float, disturbances: str, tmp_path: Path
+) -> None:
+    """What a run is by its parameters may overflow although the run does not: all say so."""
+    model = Model(
+        "steep",
+        (State("w", "m/s"),),
+        (Input("T", "N"),),
+        (Output("w", "m/s", noise_std=1e-3),),
+        {"w": f"T - w + {steep:g}*(b - 1)"},
+        parameters=(Parameter("b", 1.0),),
+    )
+    rng, times = np.random.default_rng(5), np.arange(0.0, 20.0, 0.1)
+    inputs, noise = np.sign(np.sin(times))[:, None], rng.normal(size=(2, len(times), 1))
+    data = Dataset(
+        tuple(Record(f"r{i}", times, inputs, y, model.channels) for i, y in enumerate(noise))
+    )
+    few = MultipleShooting(disturbances=disturbances, solver=Solver(max_iterations=3))
+    fit = few.fit(model, data)
+    assert fit.status.code == "diverged"
+    path = tmp_path / "fit.json"
+    fit.save(path)
+    for said in (fit, Fit.load(path), fit.predict(data), replayed(fit)):
+        assert said.report()
+    assert fit.document().html()
+    assert fit.to_dict()["status"]
+    assert fit.runs_on(data).to_dict()
+    with suppress(OedSysidError):
+        profile(fit, "b")
 
 
 def test_inputs_are_unchanged() -> None:

@@ -27,6 +27,9 @@ from oed_sysid.compiled.interpreter import interpreted
 from oed_sysid.errors import ModelError
 from oed_sysid.physics.model import Model
 
+# Sums of squares from here on have products that are no numbers: root of the largest number.
+LARGEST = np.sqrt(np.finfo(float).max)
+
 
 @dataclass(frozen=True, eq=False)
 class Run:
@@ -267,9 +270,7 @@ class Kernel:
             self.library.kernel_gather, len(times), times, inputs, values, float(self.model.step),
             n_segments, starts, nodes, measured, weight, gram, ends, dends,
         )  # fmt: skip
-        if failed >= 0 or not np.isfinite(gram).all():
-            return None
-        return Blocks(gram, ends, dends)
+        return Blocks(gram, ends, dends) if failed < 0 and summable(gram) else None
 
     def simulate(
         self,
@@ -310,16 +311,21 @@ def _summed(
     if not run.ok or run.output_sensitivities is None:
         return None
     present = np.isfinite(measured)
-    scaled = np.where(present, measured - run.outputs, 0.0) / sigma
-    rows = run.output_sensitivities * (present / sigma)[:, :, None]
-    both = np.concatenate([rows, scaled[:, :, None]], axis=2)
     with np.errstate(over="ignore", invalid="ignore"):
+        scaled = np.where(present, measured - run.outputs, 0.0) / sigma
+        rows = run.output_sensitivities * (present / sigma)[:, :, None]
+        both = np.concatenate([rows, scaled[:, :, None]], axis=2)
         # A segment's gram is [J r]' [J r] over its own rows.
         parts = [part.reshape(-1, both.shape[2]) for part in np.split(both, starts[1:])]
         gram = np.array([part.T @ part for part in parts])
-    if not np.isfinite(gram).all():
+    if not summable(gram):
         return None
     return Blocks(gram, run.ends, run.end_sensitivities) if linked else Blocks(gram, None, None)
+
+
+def summable(squares: np.ndarray) -> bool:
+    """Whether sums of squares are numbers, and so are their own products and sums."""
+    return bool(np.abs(squares).max(initial=0.0) < LARGEST)
 
 
 def by_unknowns(by_start: np.ndarray, dz: np.ndarray, n_own: int) -> np.ndarray:

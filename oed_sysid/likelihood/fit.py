@@ -346,6 +346,11 @@ class Fit(estimate.Estimate):
         """Error of whole runs over all outputs, in units of the noise."""
         return self.normalised_rms if self.innovations is None else self.whole_runs.relative
 
+    @property
+    def _ran(self) -> bool:
+        """Whether the model ran along the records: only then something tells of directions."""
+        return self.status.code != "diverged"
+
     def _taken(self) -> list[str]:
         """Words where process noise has taken the work of physics."""
         if not self.whole_runs.took_the_work:
@@ -486,7 +491,7 @@ class Fit(estimate.Estimate):
         for (name, value), error in zip(self.values.items(), self.std_errors.values(), strict=True):
             parameter = self.model.parameter(name)
             relative = 100 * error / abs(value) if value else np.inf
-            note = "" if np.isfinite(error) else "not identifiable"
+            note = "" if np.isfinite(error) or not self._ran else "not identifiable"
             note = "at bound" if value <= parameter.lower or value >= parameter.upper else note
             between = (f"{scattered[name]:.2g}",) if scattered else ()
             sizes = (rounded(value, error), f"{error:.2g}", *between, f"{relative:.2g}")
@@ -594,7 +599,8 @@ class Fit(estimate.Estimate):
                 "Residuals are correlated in time (see eff. samples): standard errors are from "
                 "the sandwich covariance."
             )
-        lines += [f"Not identifiable: {text}." for text in self.information.null_directions()]
+        if self._ran:
+            lines += [f"Not identifiable: {text}." for text in self.information.null_directions()]
         return lines + self._value_lines() + self._correlated_pairs()
 
     def _value_lines(self) -> list[str]:

@@ -376,9 +376,10 @@ def _score_at(setting: Setting, start: Start, dataset: Dataset, time: float) -> 
     if not all(part.ok for part in found):
         return vast
     count, size = len(levels), levels.scale
-    matrix = sum(part.gram[:-1, :-1] + part.level_information for part in found)
-    matrix = matrix * size[:, None] * size
-    right = -sum(part.gram[:-1, -1] + part.level_slope for part in found) * size
+    with np.errstate(over="ignore", invalid="ignore"):
+        matrix = sum(part.gram[:-1, :-1] + part.level_information for part in found)
+        matrix = matrix * size[:, None] * size
+        right = -sum(part.gram[:-1, -1] + part.level_slope for part in found) * size
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
         return vast
     white = np.zeros(count, dtype=bool)

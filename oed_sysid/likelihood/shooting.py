@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.compiled.kernels import Kernel, Run, kernel
+from oed_sysid.compiled.kernels import Kernel, Run, kernel, summable
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.likelihood.estimate import Estimate
@@ -349,7 +349,8 @@ class Shooting(Posed):
             edges = np.append(starts, len(record.times)) * dy.shape[1]
             for i, (first, stop) in enumerate(pairwise(edges)):
                 np.matmul(rows[first:stop], maps[i], out=flat[first:stop])
-        if not np.isfinite(condensed).all():
+            squares = np.einsum("tij,tij,i->j", condensed, condensed, self.sigma**-2.0)
+        if not summable(squares):
             return None
         return (
             record.outputs - run.outputs,
