@@ -424,6 +424,33 @@ def test_heavy_vehicle_sinks() -> None:
     assert evaluate(effects.excess_buoyancy(value=2.0), "X", theta=np.pi / 2) == pytest.approx(-2.0)
 
 
+@pytest.mark.parametrize("theta", [0.0, 0.5, -1.2])
+def test_buoyancy_lost_with_depth_acts_along_the_vertical(theta: float) -> None:
+    """At any pitch a compressed hull is as much too heavy as a ballasted one, in X and in Z."""
+    pressed = effects.hull_compressibility(value=0.3, reference=4.0)
+    heavy = effects.excess_buoyancy(value=0.3 * (14.0 - 4.0))
+    for axis, part in (("X", -np.sin(theta)), ("Z", np.cos(theta))):
+        assert evaluate(pressed, axis, theta=theta, z=14.0) == pytest.approx(3.0 * part)
+        assert evaluate(heavy, axis, theta=theta) == pytest.approx(3.0 * part)
+    sinking = effects.hull_compressibility(value=0.3, reference=4.0, axes=["Z"], angle=None)
+    assert evaluate(sinking, "Z", z=14.0) == pytest.approx(3.0)
+    with pytest.raises(ModelError, match="no axis 'Y'"):
+        effects.hull_compressibility(axes=["Y"])
+
+
+@pytest.mark.parametrize(("output", "rate"), ["uq", "ur", "vp", "vr", "wp", "wq"])
+def test_a_velocity_off_the_origin_has_the_sign_of_the_cross_product(
+    output: str, rate: str
+) -> None:
+    """``E`` is the coordinate of the sensor: v + omega x r."""
+    turning = np.array(["p", "q", "r"]) == rate
+    across = "uvw".index(output)
+    place = np.eye(3)[3 - across - "pqr".index(rate)]
+    arm = effects.sensor_lever_arm("arm", output, rate, value=0.7)
+    found = evaluate(arm, output, **{output: 1.5, rate: 0.2})
+    assert found == pytest.approx(1.5 + np.cross(0.2 * turning, 0.7 * place)[across])
+
+
 @pytest.mark.parametrize("theta", [0.0, 0.3, -1.0])
 def test_drifting_with_the_current_is_rest(theta: float) -> None:
     """A vehicle that moves with the water has no velocity through it."""

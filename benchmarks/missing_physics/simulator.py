@@ -97,7 +97,10 @@ FORCES: dict[str, dict[str, Force]] = {
     "hull_asymmetry_heave": {"Z": lambda s: s.u**2},
     "hull_asymmetry_pitch": {"M": lambda s: s.u**2},
     "fluid_memory": {"Z": lambda s: s.w_ground - s.memory},
-    "hull_compressibility": {"Z": lambda s: s.z - FIRST_DEPTH},
+    "hull_compressibility": {
+        "X": lambda s: -(s.z - FIRST_DEPTH) * s.sin,
+        "Z": lambda s: (s.z - FIRST_DEPTH) * s.cos,
+    },
     "wave_heave_force": {"Z": lambda s: np.cos(s.wave_frequency * s.t + s.wave_phase)},
     # What no vocabulary holds:
     "unknown_cubic_pitch_damping": {"M": lambda s: s.q**3},

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from oed_sysid.errors import ModelError, located
 from oed_sysid.physics import table
 from oed_sysid.physics.base import Actuator, Environment, Force, Inertia, amplitude
 from oed_sysid.physics.parameters import Parameter
@@ -100,13 +101,19 @@ def coupling(name: str, axis: str, velocity: str, *, speed: str = "u_r", scale: 
 
 
 @table.row(Force)
-def excess_buoyancy(name: str = "excess_buoyancy", *, angle: str = "theta", scale: float = 2.0,
-                    value: float = 0.0) -> None:
+def excess_buoyancy(name: str = "excess_buoyancy", *, axes: Sequence[str] = ("X", "Z"),
+                    angle: str | None = "theta", scale: float = 2.0,
+                    value: float = 0.0) -> table.Derived:
     r"""Weight that buoyancy does not carry, :math:`E = W - B`, in the diving plane.
+
+    .. math:: X = -E\sin\theta, \quad Z = E\cos\theta
+
+    ``axes`` are those of ``X Z`` that the model has; a model without pitch has the ``angle`` None.
 
     >>> excess_buoyancy().terms
     {'X': '-E_excess_buoyancy*sin(theta)', 'Z': 'E_excess_buoyancy*cos(theta)'}
     """
+    return {"terms": _downward("{E}", axes, angle)}
 
 
 @table.row(Force)
@@ -146,11 +153,20 @@ def righting_arm_table(name: str, angles: Sequence[float], arms: Sequence[float]
 
 
 @table.row(Force)
-def hull_compressibility(name: str = "hull_compressibility", *, axis: str = "Z", depth: str = "z",
-                         reference: float = 10.0, scale: float = 0.15,
-                         value: float = 0.0) -> table.Derived:
-    r"""Buoyancy lost with depth, :math:`Z = E\,(z - z_0)`; absent at the reference depth."""
-    return {"zero": _fixed(f"depth_{name}", reference, "m", "depth of trim")}
+def hull_compressibility(name: str = "hull_compressibility", *, axes: Sequence[str] = ("X", "Z"),
+                         angle: str | None = "theta", depth: str = "z", reference: float = 10.0,
+                         scale: float = 0.15, value: float = 0.0) -> table.Derived:
+    r"""Buoyancy lost with depth, :math:`W - B = E\,(z - z_0)`; absent at the reference depth.
+
+    .. math:: X = -E\,(z - z_0)\sin\theta, \quad Z = E\,(z - z_0)\cos\theta
+
+    ``axes`` are those of ``X Z`` that the model has; a model without pitch has the ``angle`` None.
+
+    >>> hull_compressibility(axes=["Z"], angle=None).terms
+    {'Z': 'E_hull_compressibility*(z - depth_hull_compressibility)'}
+    """
+    return {"zero": _fixed(f"depth_{name}", reference, "m", "depth of trim"),
+            "terms": _downward("{E}*({depth} - {zero})", axes, angle)}
 
 
 # -- mass and added mass ----------------------------------------------------------------
@@ -565,6 +581,15 @@ def delayed_force(name: str, axis: str, signal: str, *, unit: str, start: str, d
 
 
 # fmt: on
+def _downward(load: str, axes: Sequence[str], angle: str | None) -> dict[str, str]:
+    """A force straight down in body axes of the diving plane; Fossen (2021), equation 4.6."""
+    if angle is None:
+        axes = [axis for axis in axes if axis != "X"]
+    both = {"X": f"-{load}*sin({angle})", "Z": f"{load}*cos({angle})" if angle else load}
+    located(ModelError, "The diving plane has no axis", axes, both)
+    return {axis: both[axis] for axis in axes}
+
+
 def _phases(
     name: str, unit: str, scale: float, *, per_record: bool = False
 ) -> dict[str, Parameter]:

@@ -134,8 +134,17 @@ def sensor_misalignment(name: str, first: str, second: str, *, scale: float = 0.
 
 @table.row(Sensor)
 def sensor_lever_arm(name: str, output: str, rate: str, *, scale: float = 0.3,
-                     value: float = 0.0) -> None:
-    """Velocity sensor ahead of the origin: ``output - E rate``, as ``w - E q``."""
+                     value: float = 0.0) -> table.Derived:
+    r"""Velocity sensor off the origin: a component of :math:`v + \omega \times r`.
+
+    ``E`` is the coordinate in body axes, for a sensor ahead ``w - E q`` and ``v + E r``. Of other
+    names than ``u v w p q r`` the sign is minus.
+
+    >>> sensor_lever_arm("log_ahead", "v", "r").terms
+    {'v': 'v + E_log_ahead*r'}
+    """
+    # Of v + q z - r y and its like, the terms that are added.
+    return {"way": "+" if (output, rate) in (("u", "q"), ("v", "r"), ("w", "p")) else "-"}
 
 
 @table.row(Sensor)
