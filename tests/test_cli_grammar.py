@@ -301,7 +301,9 @@ def test_time_left_of_a_fit_follows_its_convergence() -> None:
     shown.say("predicting")
     assert shown.line == "Predicting (4 s)"
     shown.share(0.2, at_most=True)
-    assert shown.line == "Predicting (4 s, at most 16 s left)"
+    assert shown.line == "Predicting (4 s, about 16 s left, or less)"
+    now[0] += 20.0
+    assert shown.line == "Predicting (24 s, time left not known)"
 
 
 def test_progress_in_a_pipe_is_plain_lines(monkeypatch, capsys) -> None:
@@ -312,7 +314,7 @@ def test_progress_in_a_pipe_is_plain_lines(monkeypatch, capsys) -> None:
         pass
     assert capsys.readouterr().err == ""
     with terminal.progress("Slow") as shown:
-        shown.share(0.5)
+        shown.left(60.0)
         for _ in range(100):
             time.sleep(0.02)
             if capsys.readouterr().err.count("left)\n") >= 1:
@@ -332,7 +334,10 @@ def test_rounds_bound_the_time_of_a_search() -> None:
         _round(show, 4, words)
         assert left[-1] == pytest.approx(seconds)
     now[0] += 7.0
-    assert show.remaining == "at most 21 s left"
+    assert show.remaining == "about 21 s left, or less"
+    now[0] += 30.0
+    show.say("ranking, round 1: still")
+    assert left[-1] is None
 
 
 def test_closed_pipe_is_no_failure(tmp_path: Path) -> None:

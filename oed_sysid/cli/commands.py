@@ -299,7 +299,7 @@ def report(
 ) -> None:
     """Write the report on a saved fit, with its predictions of validation records.
 
-    [bold]Example[/bold]: oed-sysid report fit.json --validate dive_3.csv --out fit.html
+    [bold]Example[/bold]: oed-sysid report fit.json --validate dive_3.csv --html fit.html
     """
     from oed_sysid.likelihood.archive import is_numbers_of_fit, read_json, read_result
     from oed_sysid.results import numbers_page

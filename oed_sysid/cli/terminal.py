@@ -205,7 +205,7 @@ class Shown:
         done : float
             Between 0 and 1.
         at_most : bool
-            Whether it may end earlier.
+            Whether the work may end earlier.
         """
         now = self._clock()
         if 0.0 < done <= 1.0:
@@ -227,18 +227,24 @@ class Shown:
 
     @property
     def _seconds(self) -> float | None:
-        """How many seconds are left; None where that is not known."""
+        """How many seconds are left; None where that is not known, or was said and is over."""
         if self._left is None:
             return None
-        return max(0.0, self._left[1] - (self._clock() - self._left[0]))
+        left = self._left[1] - (self._clock() - self._left[0])
+        return left if left > 0.0 else None
 
     @property
     def remaining(self) -> str:
-        """How much longer it takes; empty where that is not known."""
+        """How much longer it takes; empty where nothing was ever told of that.
+
+        Rounds that are left are a bound, their length is not: later ones may take longer.
+        """
+        if self._left is None:
+            return ""
         left = self._seconds
         if left is None:
-            return ""
-        return f"{'at most' if self._most else 'about'} {_duration(left)} left"
+            return "time left not known"
+        return f"about {_duration(left)} left{', or less' * self._most}"
 
     @property
     def line(self) -> str:

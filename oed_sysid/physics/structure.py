@@ -253,8 +253,9 @@ def _check_equations(model: Structure) -> None:
     for axis, state in model.inertia:
         if axis not in model.axes or state not in model.axes.values():
             raise ModelError(
-                f"Inertia entry ({axis!r}, {state!r}) of model {model.name!r} does not belong to "
-                f"the axes {dict(model.axes)}."
+                f"Model {model.name!r}: inertia has the key ({axis!r}, {state!r}), expected (axis, "
+                f"state) with an axis of {', '.join(model.axes)} and a state of "
+                f"{', '.join(model.axes.values())}, such as {next(iter(model.axes.items()), None)}."
             )
 
 
