@@ -14,7 +14,7 @@ from benchmarks import door
 from oed_sysid import load_problem, new_problem
 from oed_sysid.cli import DONE, main
 from oed_sysid.data.formats import open_log
-from oed_sysid.data.log import assemble, meaning
+from oed_sysid.data.log import assemble, meaning, side_of
 from oed_sysid.data.logs import draft, import_log
 from oed_sysid.data.mapping import parse
 from oed_sysid.data.recognise import recognise
@@ -215,3 +215,42 @@ def test_import_says_what_it_read_and_keeps_the_mapping(tmp_path: Path) -> None:
         assert main(["import", str(log), "--out", str(tmp_path / name), *more]) == DONE
     first, again = (tmp_path / name / "log.csv" for name in ("first", "again"))
     assert first.read_text() == again.read_text()
+
+
+def test_every_field_of_a_ships_own_log_is_told(tmp_path: Path, capsys) -> None:
+    """Cells that are empty are no samples; a gyro in degrees, held revolutions and a side count."""
+    s, slow_rows = circle(), np.arange(T.size) % 4 == 0
+    columns = {
+        "Kreisel [°]": np.degrees(s["psi"]) % 360.0,
+        "Drehrate [°/min]": np.degrees(s["r"]) * 60.0,
+        "Ruderlage Bb+ [°]": 9.0 * np.sign(np.sin(0.02 * T)),
+        "Wellendrehzahl [1/min]": np.where(slow_rows, 180.0, np.nan),
+        "Fahrt [kn]": np.where(slow_rows, s["u"] / 0.514444, np.nan),
+        "Temperatur": np.random.default_rng(4).normal(20.0, 3.0, T.size),
+    }
+    cells = np.column_stack([T, *columns.values()])
+    lines = [";".join("" if np.isnan(x) else f"{x:.3f}" for x in row) for row in cells]
+    file = tmp_path / "ferry.csv"
+    file.write_text("\n".join([";".join(["Zeit [s]", *columns]), *lines]), encoding="utf-8")
+    log = open_log(file)
+    found = recognise(log)
+    assert (found["psi"].field, found["rudder"].sign) == ("ferry.Kreisel [°]", -1)
+    assert (found["rpm"].unit, found["rpm"].doubts) == ("1/min", ())
+    rows = found.rows(log)
+    assert {row["field"] for row in rows} == set(log.names)
+    assert [row["as read"] for row in rows if row["field"] == "ferry.Temperatur"] == ["not read"]
+    counts = {row[0]: row[1:3] for row in log.rows()}
+    assert counts["ferry.Fahrt [kn]"] == ("300", "0.5 Hz")
+    assert counts["ferry.Kreisel [°]"] == ("1200", "2 Hz")
+
+
+@pytest.mark.parametrize(
+    ("name", "side"),
+    [
+        ("Rudder (+ = port)", -1), ("helm port+ [deg]", -1), ("barre tribord +", 1),
+        ("Ruder Bb- [°]", 1), ("port rudder", 0), ("log.port-side", 0), ("timon + babor", -1),
+    ],
+)  # fmt: skip
+def test_a_name_may_say_to_which_side_it_counts(name: str, side: int) -> None:
+    """A plus or a minus beside a side; a side alone is a place."""
+    assert side_of(name) == side

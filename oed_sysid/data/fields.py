@@ -76,12 +76,13 @@ class Field:
         wraps = clear_wraps(values)
         jumps = 0.0 if wraps is None else wraps[0]
         smooth = unwrapped(values, period=jumps) if jumps else values
-        role, letters = meaning(series.name)
+        stated = series.unit if series.unit and is_unit(series.unit) else ""
+        role, letters = meaning(series.name, stated)
         defined = symbol_of(series.name, by_name=False)
         return cls(
             series.name,
             _block_means(at, smooth, times),
-            series.unit if series.unit and is_unit(series.unit) else "",
+            stated,
             float(values.min()),
             defined or role,
             DEFINED if defined else NAMED * min(letters / 4.0, 1.0),

@@ -46,7 +46,7 @@ import numpy as np
 from oed_sysid.data.record import on_circle
 from oed_sysid.errors import DataError, closest
 from oed_sysid.runtime.display import align
-from oed_sysid.text.units import is_unit, parse_header, to_si
+from oed_sysid.text.units import converts, is_unit, parse_header, to_si
 
 # -- units and symbols of fields that logs do not spell out but their formats define ---
 
@@ -109,22 +109,29 @@ def symbol_of(name: str, *, by_name: bool = True) -> str:
 
 
 @cache
-def meaning(name: str) -> tuple[str, int]:
+def meaning(name: str, unit: str = "") -> tuple[str, int]:
     """Role that the words of a name mean, in any of several languages, and how many letters say so.
 
     Parameters
     ----------
     name : str
         ``topic.field``, with or without a unit.
+    unit : str
+        Its unit, where that is known: what cannot have it is not meant.
 
     Examples
     --------
     >>> meaning("log.Gierrate [grad/s]"), meaning("run.vitesse de lacet"), meaning("ch7")
     (('r', 8), ('r', 12), ('', 0))
+    >>> meaning("log.Kreisel", "deg"), meaning("log.Kreisel", "deg/s")
+    (('psi', 7), ('r', 7))
     """
     said = groups_of(name)
     found = ("", 0)
     for role, forms in TABLE["meanings"].items():
+        needed = TABLE["roles"].get(role, ("",))[0]
+        if unit and needed and not converts(needed, unit):
+            continue
         for form in forms:
             letters = sum(said.get(group, -99) for group in form.split())
             found = (role, letters) if letters > found[1] else found
@@ -145,6 +152,20 @@ def groups_of(name: str) -> Mapping[str, int]:
         if letters:
             said[group] = letters
     return said
+
+
+def side_of(name: str) -> int:
+    """Whether a name says that it counts to starboard (1), or to port (-1); 0 where it does not.
+
+    >>> side_of("run.Ruderlage Bb+ [deg]"), side_of("rudder (+ = stbd)"), side_of("port rudder")
+    (-1, 1, 0)
+    """
+    for sign, words in ((-1, TABLE["sides"]["port"]), (1, TABLE["sides"]["starboard"])):
+        any_of = "|".join(words)
+        told = rf"\b(?:{any_of})\.?\s*(?P<after>[+-])(?!\w)|(?P<before>[+-])\s*=?\s*(?:{any_of})\b"
+        if (found := re.search(told, name.lower())) is not None:
+            return sign if "+" in (found["after"], found["before"]) else -sign
+    return 0
 
 
 def _letters(word: str, token: str) -> int:
@@ -442,12 +463,14 @@ class Log:
         """Name, samples, rate, span, unit and range of every field whose name holds a text."""
         found: list[tuple[str, ...]] = []
         for one in (one for one in self.series if text.lower() in one.name.lower()):
-            good = one.values[np.isfinite(one.values)]
+            seen = np.isfinite(one.values)  # a cell that is empty is no sample
+            good = one.values[seen]
+            one = replace(one, times=one.times[seen], values=good) if good.size else one
             reach = f"{good.min():.5g} to {good.max():.5g}" if good.size else "no number"
             rate = f"{one.rate:.3g} Hz" if np.isfinite(one.rate) else "-"
             unit = (one.unit or "?") + (f" ({one.derived})" if one.derived else "")
             span = f"{one.span[0]:.2f} to {one.span[1]:.2f} s"
-            found.append((one.name, str(one.values.size), rate, span, unit, reach))
+            found.append((one.name, str(good.size), rate, span, unit, reach))
         return found
 
     def describe(self, text: str = "") -> str:

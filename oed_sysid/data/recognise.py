@@ -47,7 +47,7 @@ from oed_sysid.data.fields import (
     line,
     match,
 )
-from oed_sysid.data.log import TABLE, Log, groups_of, meaning
+from oed_sysid.data.log import TABLE, Log, Series, groups_of, meaning, side_of
 from oed_sysid.data.mapping import LogMapping, Source
 from oed_sysid.data.record import TURN, unwrapped
 from oed_sysid.errors import DataError
@@ -156,6 +156,17 @@ class Recognised:
                 "please confirm": ", ".join(one.doubts),
             }
             for one in sorted(self.guesses, key=lambda one: not one.doubts)
+        ] + [
+            {
+                "field": one.name,
+                "is": "",
+                "as logged": _reach(one.values, one.unit or ""),
+                "as read": "not read",
+                "because": _unread(one, log),
+                "please confirm": "",
+            }
+            for one in log.series
+            if one.name not in {guess.field for guess in self.guesses}
         ]
 
     def table(self, log: Log) -> str:
@@ -165,6 +176,16 @@ class Recognised:
         return "\n".join(align(cells, left=range(6)))
 
     to_dict = as_dict("time_unit", "doubts", "guesses")
+
+
+def _unread(one: Series, log: Log) -> str:
+    """Why a field was not recognised."""
+    if log.clock and one.name.endswith(f".{log.clock}"):
+        return "it is the clock"
+    good = one.values[np.isfinite(one.values)]
+    if good.size < 5:
+        return f"it has {good.size} numbers"
+    return "neither name nor numbers tell it" if np.ptp(good) > 0.0 else "it never moves"
 
 
 def _read(one: Guess, log: Log) -> tuple[np.ndarray, str]:
@@ -211,7 +232,25 @@ def recognise(log: Log) -> Recognised:
     works = [_Work(log, unit) for unit in units]
     best = max(works, key=lambda one: one.score)
     chance = chances([one.score for one in works])[works.index(best)]
-    return best.result(("unit",) * bool(chance < SURE))
+    found = best.result(("unit",) * bool(chance < SURE))
+    held = {one.role: one for one in _held(log) if found.get(one.role) is None}
+    return replace(found, guesses=(*found.guesses, *held.values()))
+
+
+def _held(log: Log) -> Iterator[Guess]:
+    """Commands that stay at one value, as a trial holds its revolutions: a name and a unit tell."""
+    for one in log.series:
+        good = one.values[np.isfinite(one.values)]
+        if not (one.unit and is_unit(one.unit) and good.size and np.ptp(good) == 0.0):
+            continue
+        if (role := meaning(one.name, one.unit)[0]) in COMMANDS:
+            sign = _sided(role, one.name) or 1
+            yield Guess(role, one.name, one.unit, sign, why="its name and unit; it never moves")
+
+
+def _sided(role: str, name: str) -> int:
+    """Sign of a role that counts to starboard, where the field's name says its side; else 0."""
+    return side_of(name) if role in ("rudder", "r", "v", "y", "psi", "phi", "p") else 0
 
 
 # -- the likeliest roles -----------------------------------------------------------------
@@ -720,9 +759,12 @@ class _Work:
         best = likeliest(self._same_units(role, rows))
         doubts = (*best.doubts, *("field",) * (len({row.at for row in rows}) > 1))
         # Forward, down and clockwise are usual; of other axes a name does not tell the direction.
-        doubts += ("sign",) * (role in ("v", "w", "p", "q", "r", "y"))
-        sign = -1 if role == "z" and _is_up(self.fields.every[best.at].name) else 1
-        self._take(role, best, sign, doubts, "its name and size")
+        name = self.fields.every[best.at].name
+        told = _sided(role, name)
+        doubts += ("sign",) * (role in ("v", "w", "p", "q", "r", "y") and not told)
+        sign = told or (-1 if role == "z" and _is_up(name) else 1)
+        why = f"its name and size{', and that it counts to port' * (told < 0)}"
+        self._take(role, best, sign, doubts, why)
 
     def _same_units(self, role: str, rows: Sequence[Reading]) -> list[Reading]:
         """A logger mostly writes quantities of one kind in one unit."""
