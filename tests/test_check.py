@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from altered import altered, part, trials
+from altered import altered, overwritten, part, trials
 from kinematic_logs import (
     DIVER,
     ESSO,
@@ -29,6 +29,7 @@ from marks import slow
 from motion import UNITS, outputs, states
 from scipy.fft import dct
 from scipy.signal import lfilter
+from yaw_vehicle import yaw_data, yaw_model
 
 from benchmarks.spoilt_logs import COPIES as SPOILS
 from benchmarks.spoilt_logs import hidden_effect_cases, named_as, spoil
@@ -37,6 +38,7 @@ from oed_sysid.evidence import inputs
 from oed_sysid.evidence.check import (
     FAR,
     LogCheck,
+    advised,
     check,
     corrected_copies,
     quick_check,
@@ -52,6 +54,7 @@ from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.experiments.schedules import FromRecord
 from oed_sysid.experiments.simulation import simulate
+from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
 from oed_sysid.physics import Force, sensor_bias, sensor_scale
@@ -1036,3 +1039,19 @@ def test_signs_and_axes_are_ranked(
     read = next(one.statistic for one in ranked if one.says == "as read")
     assert read == 0.0
     assert (ranked[0].statistic > 100.0) == bool(fault)
+
+
+def test_a_failed_fit_says_first_what_its_log_shows() -> None:
+    """Drop-outs stand before whatever else may stall a fit; a clean log and a good fit do not."""
+    clean = yaw_data(21)
+    spoilt = overwritten(clean, 0, np.s_[60:70, 1], -9.99)
+    early = MultipleShooting(disturbances="none", solver=Solver(max_iterations=1))
+    fit = early.fit(yaw_model().with_values({"K": 0.02}), spoilt)
+    assert not fit.status.ok
+    found = quick_check(spoilt, yaw_model())
+    said = advised(fit, found).status
+    assert said.code == fit.status.code
+    where = [said.advice.index(one.says) for one in found.serious]
+    assert where
+    assert max(where) < said.advice.index(fit.status.advice)
+    assert advised(fit, quick_check(clean, yaw_model())) is fit

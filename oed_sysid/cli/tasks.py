@@ -259,7 +259,7 @@ def fit(study: Study, show: Shown) -> Outcome:
     --validate dive_3.csv --save fit.json
     """
     from oed_sysid.data.dataset import check_disjoint
-    from oed_sysid.evidence.check import with_estimates
+    from oed_sysid.evidence.check import advised, with_estimates
 
     model, train = study.problem.model, study.training()
     if study.test is not None:
@@ -268,6 +268,7 @@ def fit(study: Study, show: Shown) -> Outcome:
     study, left_out = _as_measured(study, log)
     result = fits_of(study, {"": model}, show)[""]
     log = with_estimates(log, result)
+    result = advised(result, log)
     facts = {**result.to_dict(), "log": log.to_dict()}
     text, comparison, figure = result.report(), None, Figure("figure_fit", result, "")
     if study.test is not None:
@@ -383,12 +384,13 @@ def _compared(
     study: Study, show: Shown, fits: Mapping[str, Fit], log: LogCheck, left_out: str
 ) -> Outcome:
     """What validation records say of several fits."""
-    from oed_sysid.evidence.check import with_estimates
+    from oed_sysid.evidence.check import advised, with_estimates
 
     validation = study.validation()
     show.say("predicting")
     result = oed_sysid.compare(fits, validation)
     log = with_estimates(log, fits[result.best.label])
+    fits = {name: advised(one, log) for name, one in fits.items()}
     notes = [
         f"The fit of {n} ended as {one.status}" for n, one in fits.items() if not one.status.ok
     ]

@@ -53,7 +53,7 @@ from oed_sysid.data.record import TURN, unwrapped
 from oed_sysid.errors import DataError
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.runtime.display import align, as_dict
-from oed_sysid.text.units import converts, parse_header, shown_unit, to_si
+from oed_sysid.text.units import converts, is_unit, parse_header, shown_unit, to_si
 
 # Roles of measured motion, and of commands.
 MOTION = ("psi", "r", "phi", "p", "theta", "q", "u", "v", "w", "x", "y", "z")

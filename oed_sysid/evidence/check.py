@@ -374,6 +374,21 @@ def signal_check(dataset: Dataset) -> LogCheck:
     return LogCheck(tuple(findings), dataset.names, unchecked=open_points, duration=spent)
 
 
+def advised(fit: Fit, log: LogCheck) -> Fit:
+    """The fit; where it failed, its advice says first what the check of its log found.
+
+    What a log shows that no model could follow stalls iterations too, and then looks like a model
+    that jumps: the cause that was seen stands before those that may be.
+    """
+    if fit.status.ok or log.ok:
+        return fit
+    found = " ".join(f"{one.says} Fix: {one.fix.rstrip('.')}." for one in log.serious)
+    advice = f"The check of the log says why it may fail: {found} Then fit again."
+    if fit.status.advice:
+        advice += f" Where the log is right: {fit.status.advice}"
+    return replace(fit, status=replace(fit.status, advice=advice))
+
+
 def with_estimates(
     log: LogCheck,
     fit: Fit,

@@ -353,7 +353,7 @@ class Fit(estimate.Estimate):
 
     def _taken(self) -> list[str]:
         """Words where process noise has taken the work of physics."""
-        if not self.whole_runs.took_the_work:
+        if not (self.status.ok and self.whole_runs.took_the_work):
             return []
         return [
             "Process noise has taken the work of physics: "

@@ -101,6 +101,8 @@ FEW = 3.0
 FOLLOWS_CHANCE = 0.05
 # Lengths of increments as shares of a record; fewer samples than FEWEST say nothing.
 HORIZONS, FEWEST = (0.02, 0.05, 0.125), 10
+# What a fit that ended early asks first; with the check at hand `advised` says what it found.
+LOOK = "See what the check of the log says (quick_check, oed-sysid check)."
 # Kinds that make a fit not converged, worst first, and those with which it may converge and must
 # still not be used.
 FATAL = ("runaway", "integration", "degenerate")
@@ -205,7 +207,7 @@ def with_verdict(fit: Judged) -> Judged:
     """The same fit; its status is not ``converged`` where its values must not be used."""
     if fit.status.code in ("stalled", "iterations"):
         steps = " ".join(concern.text for concern in concerns_of(fit, "integration"))
-        advice = f"{fit.status.advice} {steps}".rstrip()
+        advice = f"{fit.status.advice} {LOOK} {steps}".strip()
         return replace(fit, status=replace(fit.status, advice=advice))
     if not fit.status.ok:
         return fit
