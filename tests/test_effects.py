@@ -40,9 +40,11 @@ ODD = {
     *("excess_buoyancy", "cg_offset_x", "hull_asymmetry_heave", "hull_asymmetry_pitch"),
     *("current_vertical", "wave_heave_force", "fin_offset", "bias_w", "bias_q", "bias_theta"),
     *("dvl_misalignment", "rudder_neutral_angle", "single_screw_asymmetry", "wave_yaw_moment"),
+    "rudder_neutral_angle_by_record",
     *("bias_r", "bias_psi", "log_misalignment", "heel_moment", "wave_roll_moment", "bias_phi"),
 }
 UNCLAIMED = {"hull_compressibility", "nonlinear_yaw_damping", "current", "wind", "cogging"}
+UNCLAIMED |= {"current_by_record", "wind_by_record"}
 
 
 GENERIC = (

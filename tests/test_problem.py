@@ -9,19 +9,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from vehicles import remus, ship
 
 import oed_sysid
 from oed_sysid.cli import DONE, main
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.design import DOptimal, Search, Trial, design_experiment
 from oed_sysid.errors import ProblemError
 from oed_sysid.evidence.improve import improve
+from oed_sysid.evidence.usual import settled
 from oed_sysid.experiments import catalogue
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.problem import Problem, list_problems, load_problem, new_problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.experiments.starter import TEMPLATES
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import Force, Parameter, Sensor
+from oed_sysid.physics import (
+    Force,
+    Parameter,
+    Sensor,
+    diving_plane_effects,
+    sensor_bias,
+    surface_ship_effects,
+)
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
 
@@ -185,6 +195,35 @@ def test_parts_have_to_fit(settings: dict, message: str) -> None:
         Problem("tug", MODEL, **settings)
     with pytest.raises(ProblemError, match="contains already"):
         Problem("tug", MODEL + DRAG, effects=(DRAG,))
+
+
+def test_a_list_of_candidates_leaves_out_what_a_model_lacks() -> None:
+    """Errors of logs that there are not are left out and named; what the user wrote is refused."""
+    diver = remus()
+    blind = replace(diver, outputs=tuple(o for o in diver.outputs if o.name not in ("u", "w")))
+    problem = Problem("diver", blind, effects=diving_plane_effects())
+    assert set(problem.left_out) == {
+        *("bias_u", "bias_w", "scale_u", "scale_w"),
+        *("dvl_misalignment", "dvl_lever_arm", "dvl_lag"),
+    }
+    assert len(problem.effects) + len(problem.left_out) == len(diving_plane_effects())
+    assert "left out" in problem.describe()
+    assert Problem("diver", diver, effects=diving_plane_effects()).left_out == ()
+    with pytest.raises(ProblemError, match="Remove it, or give"):
+        Problem("diver", blind, effects=(sensor_bias("log", "u", "m/s", scale=0.1),))
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_candidates_of_the_day_need_several_records(count: int) -> None:
+    """Current, wind and trim of the list are each record's own too, where there are several."""
+    listed = surface_ship_effects()
+    model = ship()
+    times = np.arange(40.0)
+    still = np.zeros((40, 2)), np.zeros((40, len(model.outputs)))
+    runs = [Record(str(i), times, *still, model.channels) for i in range(count)]
+    found, _ = settled(model, Dataset(tuple(runs)), listed)
+    day = {"current_by_record", "wind_by_record", "rudder_neutral_angle_by_record"}
+    assert {e.name for e in listed} - {e.name for e in found} == (day if count == 1 else set())
 
 
 def test_true_model_holds_values_and_hidden_effects() -> None:

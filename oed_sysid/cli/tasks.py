@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from oed_sysid.experiments.experiment import Experiment, Limits
     from oed_sysid.experiments.problem import Problem
     from oed_sysid.likelihood.fit import Fit
+    from oed_sysid.physics.base import Effect
     from oed_sysid.physics.model import Model
     from oed_sysid.runtime.display import Report
     from oed_sysid.runtime.parallel import CellProgress
@@ -410,6 +411,13 @@ def predicted(models: Sequence[ModelMisfit]) -> Figure:
     return Figure("figure_predictions", [part.prediction for part in models], "", options=options)
 
 
+def _candidates(problem: Problem, show: Shown) -> Sequence[Effect]:
+    """The candidates of a problem; which of its lists it has left out is noted."""
+    if problem.lacking:
+        show.note(f"Candidates left out: {problem.lacking}.")
+    return problem.effects
+
+
 def diagnose(study: Study, show: Shown) -> Outcome:
     """Say where a model fails and which effects may be missing, without adding any.
 
@@ -419,7 +427,7 @@ def diagnose(study: Study, show: Shown) -> Outcome:
     log = oed_sysid.quick_check(train, problem)
     show.say("looking where the model fails, and scoring all candidates")
     result = oed_sysid.diagnose(
-        problem.model, train, candidates=problem.effects, known_noise=study.known_noise,
+        problem.model, train, candidates=_candidates(problem, show), known_noise=study.known_noise,
         disturbances=study.acting,
     )  # fmt: skip
     return Outcome(
@@ -438,7 +446,7 @@ def improve(study: Study, show: Shown, *, max_effects: int = 4, no_terms: bool =
     """
     problem = study.problem
     result = oed_sysid.improve(
-        problem.model, study.training(), study.test, candidates=problem.effects,
+        problem.model, study.training(), study.test, candidates=_candidates(problem, show),
         known_noise=study.known_noise, disturbances=study.acting, max_effects=max_effects,
         terms=not no_terms, progress=partial(_round, show, max_effects), journal=show.journal,
     )  # fmt: skip

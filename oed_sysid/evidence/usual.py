@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from fnmatch import fnmatch
 from math import ceil, prod
 from typing import Any
 
@@ -38,7 +37,6 @@ from oed_sysid.physics import (
     Force,
     amplitude,
     forces,
-    in_each_record,
     signals,
 )
 from oed_sysid.physics.candidates import listed
@@ -46,6 +44,7 @@ from oed_sysid.physics.frames import rotation
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.table import ABKOWITZ, POLYNOMIAL, SOURCES
+from oed_sysid.physics.variants import BY_RECORD, day_to_day
 from oed_sysid.text import expressions
 from oed_sysid.text.dimensions import dimension_of
 from oed_sysid.text.units import dimension
@@ -64,8 +63,6 @@ RIGHTING = {"K": "phi", "M": "theta"}
 FLOW_UNIT, FLOWS = "m/s", ("wind", "wave", "current")
 # Names of twins that have nothing in common.
 SIDES = ("port", "starboard", "left", "right", "upper", "lower")
-# What is steady in a record and another in the next: trims, currents and winds.
-FROM_DAY_TO_DAY = ("*_offset", "current*", "drift_*", "wind")
 
 
 class Sizes:
@@ -209,11 +206,7 @@ def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
         _commands, _sensors,
     )  # fmt: skip
     made = [effect for kind in kinds for effect in kind(model, sizes)]
-    own = [
-        in_each_record(effect)
-        for effect in made
-        if len(dataset) > 1 and any(fnmatch(effect.name, kind) for kind in FROM_DAY_TO_DAY)
-    ]
+    own = day_to_day(made) if len(dataset) > 1 else []
     for effect in (*made, *own):
         if effect.name in model.effect_names or effect.name in found:
             continue
@@ -594,7 +587,9 @@ def settled(
     Signals that a check of the logs found late bring a candidate of their own.
     """
     if candidates:
-        return tuple(candidates), []
+        # In one record what every record has of its own is what all share.
+        twice = {f"{e.name}{BY_RECORD}" for e in candidates if len(dataset) == 1}
+        return tuple(effect for effect in candidates if effect.name not in twice), []
     if dataset.only_tests:
         raise DataError(
             "These records are independent tests at given motion (captive tests), from which no "

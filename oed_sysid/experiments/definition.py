@@ -91,6 +91,8 @@ class Problem:
         Of the vehicle, m: waves are averaged over them.
     references : tuple of str
         Citations.
+    left_out : tuple of str
+        Candidates of ready-made lists that act on what the model lacks.
     description : str
         What the system is, and what success means.
 
@@ -123,6 +125,7 @@ class Problem:
     description: str = ""
     length: float | None = None
     draught: float | None = None
+    left_out: tuple[str, ...] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
         self._check_kinds()
@@ -174,6 +177,7 @@ class Problem:
 
     def _check_effects(self) -> None:
         seen: set[str] = set()
+        kept, left = list[Effect](), list[str]()
         for effect in self.effects:
             if effect.name in seen:
                 raise ProblemError(
@@ -187,11 +191,16 @@ class Problem:
                 )
             try:
                 self.model + effect
+                kept.append(effect)
             except OedSysidError as error:
-                raise ProblemError(
-                    f"Problem {self.name!r}: the candidate {effect.name!r} does not fit the "
-                    f"model. {error}"
-                ) from None
+                if not effect.optional:
+                    raise ProblemError(
+                        f"Problem {self.name!r}: the candidate {effect.name!r} does not fit the "
+                        f"model. {error} Remove it, or give the model what it acts on."
+                    ) from None
+                left.append(effect.name)
+        object.__setattr__(self, "effects", tuple(kept))
+        object.__setattr__(self, "left_out", tuple(left))
 
     def _check_truth(self) -> None:
         """Refuse true values of parameters that there are not, or beyond their bounds."""
@@ -302,6 +311,12 @@ class Problem:
         found = [line for one in problems for line in notes(one.models.values(), one.effects)]
         return tuple(dict.fromkeys(found))
 
+    @property
+    def lacking(self) -> str:
+        """Which candidates of its lists the problem has left out, in words; often empty."""
+        names = ", ".join(self.left_out)
+        return f"{names}: the model lacks what they act on" if names else ""
+
     def describe(self) -> str:
         """Return what the problem holds, in words."""
         inputs, outputs = ", ".join(self.model.input_names), ", ".join(self.model.output_names)
@@ -315,6 +330,7 @@ class Problem:
             f"models       {', '.join(self.variants)}",
             f"candidates   {', '.join(effect.name for effect in self.effects) or USUAL}",
             f"experiments  {', '.join(self.experiments) or 'none'}",
+            f"left out     {self.lacking}" if self.left_out else "",
             *(f"[{number}] {text}" for number, text in enumerate(self.references, start=1)),
             *(f"note: {text}" for text in self.notes()),
         ]

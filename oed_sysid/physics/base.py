@@ -149,6 +149,9 @@ class Effect:
         :mod:`oed_sysid.physics.unknown`.
     functions : tuple of Function
         Functions of CasADi symbols, callable in expressions.
+    optional : bool
+        Whether a problem leaves this candidate out where its model lacks what it acts on, as those
+        of a ready-made list; others are refused.
 
     Examples
     --------
@@ -171,6 +174,7 @@ class Effect:
     needs: str = ""
     noise: RandomProcess | None = None
     functions: tuple[Function, ...] = ()
+    optional: bool = False
 
     stage: ClassVar[str] = ""
 

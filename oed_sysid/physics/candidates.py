@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from oed_sysid.physics import forces, signals
 from oed_sysid.physics.base import Effect, Force, amplitude
 from oed_sysid.physics.table import FOSSEN
+from oed_sysid.physics.variants import day_to_day
 from oed_sysid.text import expressions, notation
 
 SEA_WATER_DENSITY = 1025.0  # kg/m3, at 15 degrees Celsius and 3.5 per cent salinity
@@ -24,7 +26,8 @@ _SETS = tomllib.loads(Path(__file__).with_name("candidates.toml").read_text(enco
 def listed(kind: str, **known: Any) -> list[Any]:
     """Effects of one set of ``candidates.toml``, for what is known of a vehicle.
 
-    A row that asks for what is None is left out: this vehicle has no such thing.
+    A row that asks for what is None is left out: this vehicle has no such thing. A problem leaves
+    out what its model lacks the signals for.
     """
     numbers = {name: x for name, x in known.items() if isinstance(x, int | float)}
     lacking = {f"={name}" for name, x in known.items() if x is None}
@@ -42,14 +45,15 @@ def listed(kind: str, **known: Any) -> list[Any]:
             numbers[name] = notation.prime_scale(name, **size)
         return float(expressions.to_numpy(formula, numbers))
 
-    return [
+    made = (
         _CONSTRUCTORS[effect](
             name=name.format(**known),
             **{key: value(given) for part in arguments for key, given in part.items()},
         )
         for name, effect, *arguments in _SETS[kind]
         if not any(lacking & {x for x in part.values() if isinstance(x, str)} for part in arguments)
-    ]
+    )
+    return [replace(effect, optional=True) for effect in made]
 
 
 def product(*, name: str, axis: str, factor: str, unit: str, scale: float, **words: Any) -> Force:
@@ -115,7 +119,8 @@ def surface_ship_effects(
     Returns
     -------
     tuple of Effect
-        Candidates; their amplitudes are zero.
+        Candidates; their amplitudes are zero. What differs from day to day (current, wind, trim of
+        the rudder) is there twice, shared and of its own size in every record.
 
     Examples
     --------
@@ -123,16 +128,15 @@ def surface_ship_effects(
     ['yaw_crossflow', 'sway_crossflow', 'sway_drift_yaw']
     """
     prime = {"density": density, "length": length, "speed": speed}
-    return tuple(
-        listed(
-            "surface_ship",
-            **prime,
-            thrust=thrust,
-            yaw_rate=0.3 * speed / length,  # of a moderate turn
-            mass=3e-3 * notation.prime_scale("Y_vdot", **prime),
-            spin=1e-4 * notation.prime_scale("N_rdot", **prime),
-        )
+    made = listed(
+        "surface_ship",
+        **prime,
+        thrust=thrust,
+        yaw_rate=0.3 * speed / length,  # of a moderate turn
+        mass=3e-3 * notation.prime_scale("Y_vdot", **prime),
+        spin=1e-4 * notation.prime_scale("N_rdot", **prime),
     )
+    return (*made, *day_to_day(made))
 
 
 def roll_effects(*, inertia: float, frequency: float) -> tuple[Effect, ...]:

@@ -14,13 +14,23 @@ elsewhere: the fin was still on its way, and backlash was anywhere in its gap. W
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import replace
+from fnmatch import fnmatch
 
 from oed_sysid.errors import ModelError
 from oed_sysid.physics.base import Actuator, Effect
 from oed_sysid.physics.parameters import about_zero
 
 BY_RECORD = "_by_record"
+# What is steady in a record and another in the next: trims, currents and winds.
+FROM_DAY_TO_DAY = ("*_offset", "*_neutral_angle", "current*", "drift_*", "wind")
+
+
+def day_to_day(effects: Iterable[Effect]) -> list[Effect]:
+    """Those of some effects that differ from day to day, of their own size in every record."""
+    kinds = FROM_DAY_TO_DAY
+    return [in_each_record(e) for e in effects if any(fnmatch(e.name, kind) for kind in kinds)]
 
 
 def in_each_record(effect: Effect) -> Effect:
