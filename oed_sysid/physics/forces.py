@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.errors import ModelError, located
+from oed_sysid import errors
 from oed_sysid.physics import table
 from oed_sysid.physics.base import Actuator, Environment, Force, Inertia, amplitude
 from oed_sysid.physics.parameters import Parameter
@@ -586,7 +586,7 @@ def _downward(load: str, axes: Sequence[str], angle: str | None) -> dict[str, st
     if angle is None:
         axes = [axis for axis in axes if axis != "X"]
     both = {"X": f"-{load}*sin({angle})", "Z": f"{load}*cos({angle})" if angle else load}
-    located(ModelError, "The diving plane has no axis", axes, both)
+    errors.located(errors.ModelError, "The diving plane has no axis", axes, both)
     return {axis: both[axis] for axis in axes}
 
 
