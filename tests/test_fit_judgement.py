@@ -825,3 +825,75 @@ def test_suspect_log_stands_above_the_fit(
     train, test = str(tmp_path / "swapped.csv"), str(tmp_path / "other.csv")
     assert main(["compare", "kvlcc2", "--train", train, "--test", test]) == SUSPECT
     assert capsys.readouterr().out.startswith("Log suspect: ")
+
+
+CARRIED = Model(
+    "unstable ship",
+    (State("u", "m/s"), State("r", "rad/s", scale=0.1), State("psi", "rad")),
+    (Input("delta", "rad"), Input("thrust", "N")),
+    (
+        Output("u", "m/s", noise_std=0.02),
+        Output("r", "rad/s", noise_std=0.003),
+        Output("psi", "rad", noise_std=0.01),
+    ),
+    {"u": "(thrust - X*u*abs(u))/500", "r": "K*u*u*delta + N*u*r", "psi": "r"},
+    parameters=(
+        Parameter("X", 12.0, "kg/m", scale=10.0),
+        Parameter("K", 0.03, "1/m^2", scale=0.1),
+        Parameter("N", 0.05, "1/m", scale=0.1),
+    ),
+    step=0.2,
+)
+
+
+def carried(seed: int, thrusts: tuple[float, ...]) -> Dataset:
+    """A pilot steers an unstable ship, slowly probing, while disturbances carry it away."""
+    rng, times, records = np.random.default_rng(seed), 0.2 * np.arange(401), []
+    for number, thrust in enumerate(thrusts):
+        state, force = np.array([np.sqrt(thrust / 15.0), 0.0, 0.0]), np.zeros(2)
+        outputs, inputs = [], []
+        for time in times:
+            seen = state + np.array([0.02, 0.003, 0.01]) * rng.standard_normal(3)
+            probe = 0.12 * np.sign(np.sin(0.5 * time + number))
+            rudder = float(np.clip(-1.2 * seen[2] - 2.5 * seen[1] + probe, -0.4, 0.4))
+            outputs.append(seen)
+            inputs.append([rudder, thrust])
+            for _ in range(4):
+                kept, white = np.exp(-0.05 / 1.5), rng.standard_normal(2)
+                force = kept * force + np.array([20.0, 0.006]) * np.sqrt(1 - kept**2) * white
+                u, r, _ = state
+                turning = 0.05 * u * u * rudder + 0.06 * u * r + force[1]
+                surge = (thrust - 15.0 * u * abs(u) + force[0]) / 500
+                state = state + 0.05 * np.array([surge, turning, r])
+        records.append(
+            Record(str(number), times, np.array(inputs), np.array(outputs), CARRIED.channels)
+        )
+    return Dataset(tuple(records))
+
+
+@pytest.mark.parametrize("thrusts", [(40.0, 60.0, 80.0), (60.0, 60.0, 60.0)])
+@pytest.mark.parametrize("seed", [11, 12])
+def test_an_unstable_vehicle_that_disturbances_carry_away_is_explained(
+    seed: int, thrusts: tuple[float, ...]
+) -> None:
+    """Whole runs are worse than a constant; the answer to the rudder is there in innovations."""
+    fit = MultipleShooting().fit(CARRIED, carried(seed, thrusts))
+    assert max(unexplained(fit).values()) > 0.99
+    away = (fit.estimates - [15.0, 0.05, 0.06]) / np.sqrt(np.diag(fit.covariance))
+    assert np.abs(away).max() < 4.0
+    assert fit.grave == ()
+
+
+def test_an_unstable_vehicle_with_the_rudder_of_another_run_is_not_explained() -> None:
+    """The same runs, with a log of the rudder that is none."""
+    rng = np.random.default_rng(2)
+    foreign = Dataset(
+        tuple(
+            replace(
+                one, inputs=one.inputs * [0.0, 1.0] + 0.2 * rng.standard_normal((401, 1)) * [1, 0]
+            )
+            for one in carried(13, (40.0, 60.0, 80.0))
+        )
+    )
+    fit = MultipleShooting().fit(CARRIED, foreign)
+    assert not fit.status.ok or "r" in {one.signal for one in fit.grave}

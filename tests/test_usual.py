@@ -23,8 +23,8 @@ from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import Sizes, equipped, settled
 from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.likelihood.captive import CaptiveTests
-from oed_sysid.likelihood.departures import input_factors
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics import Force, Parameter, amplitude, quadratic_drag
 from oed_sysid.physics.bodies import rigid_body

@@ -60,8 +60,8 @@ from oed_sysid.evidence.result import (
 from oed_sysid.evidence.screens import Fault, jitter, marked, screened
 from oed_sysid.evidence.traces import Trace, units_of
 from oed_sysid.experiments.problem import Problem
-from oed_sysid.likelihood.departures import input_factors
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.likelihood.whole_runs import whole_runs
 from oed_sysid.physics import Effect
@@ -421,7 +421,7 @@ def with_estimates(
     """
     begun = nominal or fit.nominal
     findings = _left(log, fit, records or fit.dataset, claimed, begun)
-    for one in input_factors(fit, begun) if fit.status.ok else ():
+    for one in input_factors(fit, begun):
         row = {"says": one.text, "name": one.channel.name}
         findings.append(words.said("input_factor", (one.channel.name,), log.records, row))
     findings += [*_far(fit, log.records), *scaled_inputs(fit), *between_runs(fit)]

@@ -33,6 +33,8 @@ from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.archive import encode
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.gauss_newton import FilteredSolution
+from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.judgement import concerns_of
 from oed_sysid.likelihood.noise_levels import given_levels
 from oed_sysid.likelihood.noise_model import Disturbances
@@ -142,9 +144,13 @@ def improve(
     tell("fitting the nominal model")
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
     notes = [*ready.notes, *left_out, *told, *_not_asked(candidates, study)]
-    run = Search(max_effects, tell, keep, notes, ready.whole, terms)
+    read_wrong = _read_wrong(study, base)
+    notes += read_wrong
+    # What is found in records whose input is read wrong replaces that input.
+    searched = (0, False) if read_wrong else (max_effects, terms)
+    run = Search(searched[0], tell, keep, notes, ready.whole, searched[1])
     end = run.beyond(run.known(study, base))
-    if disturbances == "auto" and _hidden_by_forces(end):
+    if disturbances == "auto" and not read_wrong and _hidden_by_forces(end):
         tell("searching without disturbance forces")
         calm = keep.once("without disturbance forces", partial(begin, disturbances="none"))
         end = run.calmer(end, *calm)
@@ -174,6 +180,13 @@ def _not_asked(candidates: Sequence[Effect], study: Study) -> list[str]:
     known = {one.name for one in (*study.candidates, *study.base.effects)}
     left = [one.name for one in candidates if one.name not in known]
     return [f"Not asked, since the model cannot take them: {', '.join(left)}."] if left else []
+
+
+def _read_wrong(study: Study, base: FilteredSolution) -> list[str]:
+    """A note where inputs act otherwise than the start values of the nominal model say."""
+    fit = study.result(study.polished(base), "improve, disturbance forces")
+    names = [one.channel.name for one in input_factors(fit, study.base.values)]
+    return [f"Nothing was searched for before {' and '.join(names)} is put right."] if names else []
 
 
 def _hidden_by_forces(end: Ended) -> bool:

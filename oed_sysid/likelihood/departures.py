@@ -23,26 +23,11 @@ unknowns and :math:`\epsilon` the residuals, in units of noise,
     \operatorname{std}\hat s = I^{-1/2} .
 
 :func:`~oed_sysid.physics.unknown_start` makes it one of the unknowns.
-
-Inputs that act reversed, or in another unit, than the start values say.
-
-An input of the other sign is a coefficient of the other sign: the fit converges, its residuals are
-noise, and every controller designed with it steers to the wrong side. Kinematics cannot see it, but
-the start values of the nominal model can. With :math:`y(d, p)` the model's outputs for an input
-:math:`d`, parameters :math:`p_j` of a set :math:`F` that went to a value of about :math:`k` times
-their start values, and all others left alone, the input is named where
-
-.. math:: \left\| \frac{y(k\,d,\; p_F / k) - y(d,\; p)}{\sigma} \right\|_{rms} < \epsilon :
-
-read in another unit (:math:`k = 180/\pi`, say) or with the other sign (:math:`k = -1`), the same
-trajectories have the parameters that were expected. No parameter that the records give and that
-has the expected sign can be part of :math:`F`, so that one start value of the wrong sign among
-several right ones says nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import TypeVar
@@ -53,7 +38,6 @@ from oed_sysid.compiled.kernels import Kernel, Run, by_unknowns, kernel
 from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate
 from oed_sysid.likelihood.information import COLOUR_LIMIT
 from oed_sysid.likelihood.projection import inverse_of, project_out
-from oed_sysid.physics.channels import Input
 from oed_sysid.physics.model import Model
 
 Departed = TypeVar("Departed", Departure, ActuatorStart)
@@ -306,134 +290,11 @@ def _sensitivities(fit: Estimate, index: int) -> tuple[Run, np.ndarray, np.ndarr
     return run, found[:, :, : runner.n_full], by_unknowns(found, dz0, runner.n_own)
 
 
-# What a log may hold, by the unit that it was read in; only ratios that no guess is off by.
-UNITS: dict[str, tuple[tuple[float, str], ...]] = {
-    "rad": ((np.pi / 180.0, "degrees read as radians"), (180.0 / np.pi, "radians read as degrees")),
-    "rad/s": ((2.0 * np.pi / 60.0, "rpm read as rad/s"), (30.0 / np.pi, "rad/s read as rpm")),
-    "1/s": ((1.0 / 60.0, "rpm read as 1/s"), (60.0, "1/s read as rpm")),
-    "N": ((1e3, "kN read as N"), (1e-3, "N read as kN")),
-}
 # Factor within which a start value has to be what the other unit would give, noise of an input what
 # its log shows, and an error that of another fit.
 TWOFOLD = 2.0
 # Change of the outputs, in noise levels, below which two runs are the same.
 SAME = 0.1
-
-
-@dataclass(frozen=True)
-class InputFactor:
-    """An input that acts otherwise than the start values say.
-
-    Attributes
-    ----------
-    channel : Input
-    factor : float
-        The true input over the logged one: -1, or a ratio of units.
-    unit : str
-        What the log seems to hold; empty for a sign.
-    values : mapping of str to (float, float)
-        Parameters concerned: what was found, and the start value.
-    """
-
-    channel: Input
-    factor: float
-    unit: str
-    values: Mapping[str, tuple[float, float]]
-
-    @property
-    def text(self) -> str:
-        """What was expected, what was found, what to do."""
-        name, unit = self.channel.name, self.channel.unit
-        told = ", ".join(f"{key} is {a:.3g} for {b:.3g}" for key, (a, b) in self.values.items())
-        if not self.unit:
-            line = f'Input("{name}", "{unit}", sign={-self.channel.sign:g})'
-            return (
-                f"Input {name} acts with the sign reversed against the start values ({told}). With "
-                "it reversed the same fit has the signs that were expected. If the log counts it "
-                f"the other way, write {line}; if the start values are wrong, change their signs."
-            )
-        return (
-            f"Input {name} acts {abs(self.factor):.3g} times as strongly as the start values say "
-            f"({told}): its log seems to hold {self.unit}. Check the unit in its header; if that "
-            "is right, change the start values."
-        )
-
-
-def input_factors(fit: Estimate, nominal: Mapping[str, float]) -> tuple[InputFactor, ...]:
-    """Inputs that act with another sign or in another unit than the start values say.
-
-    Parameters
-    ----------
-    fit : Estimate
-        Converged.
-    nominal : mapping of str to float
-        Values that the parameters were expected to have; zero says nothing.
-    """
-    errors = np.sqrt(np.diag(fit.covariance))
-    # Of the others the records do not say the sign, or nobody did before.
-    ratios = {
-        name: float(value) / nominal[name]
-        for name, value, error in zip(fit.names, fit.estimates, errors, strict=True)
-        if nominal.get(name) and abs(value) > CLEARLY * error
-    }
-    found = (_otherwise(fit, column, ratios, nominal) for column in range(len(fit.model.inputs)))
-    return tuple(one for one in found if one is not None)
-
-
-def _otherwise(
-    fit: Estimate, column: int, ratios: Mapping[str, float], nominal: Mapping[str, float]
-) -> InputFactor | None:
-    """How an input acts other than expected: reversed, or in another unit."""
-    channel = fit.model.inputs[column]
-    loose = [name for name in fit.names if name not in ratios]
-    for factor, unit in ((-1.0, ""), *UNITS.get(channel.unit, ())):
-        most = np.inf if factor < 0.0 else TWOFOLD
-        moved = [name for name, ratio in ratios.items() if 1.0 / most < ratio / factor < most]
-        if moved and _is_the_same(fit, column, factor, moved, loose):
-            values = {name: (float(fit.values[name]), nominal[name]) for name in moved}
-            return InputFactor(channel, factor, unit, values)
-    return None
-
-
-def _is_the_same(
-    fit: Estimate, column: int, factor: float, moved: list[str], loose: list[str]
-) -> bool:
-    """Whether an input times a factor, and parameters divided by it, give the same outputs.
-
-    Of parameters that say nothing those join that are needed: a coefficient that the records hardly
-    show is divided, too, and the zero of a rudder is multiplied.
-    """
-    powers = dict.fromkeys(moved, -1)
-    change = _rescaled(fit, column, factor, powers)
-    while change >= SAME:
-        tried = {
-            (name, power): _rescaled(fit, column, factor, {**powers, name: power})
-            for name in loose
-            if name not in powers
-            for power in ((-1,) if factor == -1.0 else (-1, 1))
-        }
-        best = min(tried, key=lambda one: tried[one], default=None)
-        if best is None or not tried[best] < change:
-            return False
-        change = tried[best]
-        powers[best[0]] = best[1]
-    return True
-
-
-def _rescaled(fit: Estimate, column: int, factor: float, powers: Mapping[str, int]) -> float:
-    """Change of the outputs by an input times a factor, and parameters times powers of it."""
-    scales = np.ones(len(fit.model.parameter_names))
-    for name, power in powers.items():
-        scales[fit.model.parameter_names.index(name)] = factor**power
-
-    def after(index: int) -> np.ndarray | None:
-        inputs = np.array(fit.dataset[index].inputs)
-        if not np.ptp(inputs[:, column]):
-            return None
-        inputs[:, column] *= factor
-        return outputs_of(fit, index, inputs, values_of(fit, index) * scales, first=inputs[0])
-
-    return change_of_outputs(fit, after)
 
 
 def change_of_outputs(fit: Estimate, after: Callable[[int], np.ndarray | None]) -> float:

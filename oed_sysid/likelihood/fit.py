@@ -608,10 +608,7 @@ class Fit(estimate.Estimate):
         lines = []
         own = [(self.model.parameter(name), value) for name, value in self.values.items()]
         if bounded := [one.name for one, value in own if not one.lower < value < one.upper]:
-            lines.append(
-                f"{', '.join(bounded)} at bound: widen it if it may be wrong. A log that counts "
-                "an angle the other way does this too: Input(..., sign=-1)."
-            )
+            lines.append(f"{', '.join(bounded)} at bound: widen it if it may be wrong.")
         if far := [one.name for one, value in own if _off_prior(one, value)]:
             lines.append(
                 f"Further than {CLEARLY:g} standard deviations from the prior: "

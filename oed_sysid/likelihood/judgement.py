@@ -41,6 +41,15 @@ increments over :math:`h` samples count too, and the smallest of all shares is t
 
 Estimated noise, of sensors or of forces, can absorb whatever a model does not explain, so that
 the misfit is one and the iterations converge. :func:`grave` says so.
+
+A vehicle that disturbances carry away, an unstable one above all, leaves whole runs that say
+nothing. There the model's answer to the inputs counts, in innovations :math:`e` under the noise
+that the fit states: with :math:`e^0` those where all inputs stay at their means,
+
+.. math:: d^2 = \sum_k (e^0_k - e_k)^2 / S_k, \qquad g = \sum_k ({e^0_k}^2 - e_k^2) / S_k .
+
+An output is explained where the answer shows, :math:`d > C`, and the records favour it,
+:math:`g > 0`.
 """
 
 from __future__ import annotations
@@ -54,6 +63,7 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.special import ndtr, stdtr
 
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.likelihood.between_records import FEWEST_RECORDS, WORTH_TELLING
 from oed_sysid.likelihood.covariance import Peak, clear_peaks
 from oed_sysid.likelihood.departures import (
@@ -63,12 +73,13 @@ from oed_sysid.likelihood.departures import (
     change_of_outputs,
     clear_departure,
     clear_starts,
-    input_factors,
     outputs_of,
 )
 from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate, once_a_fit
 from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
+from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.integration import BIAS, half_step_change, step_change
+from oed_sysid.likelihood.laws import posed_again
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
     fast_level,
@@ -106,7 +117,7 @@ LOOK = "See what the check of the log says (quick_check, oed-sysid check)."
 # Kinds that make a fit not converged, worst first, and those with which it may converge and must
 # still not be used.
 FATAL = ("runaway", "integration", "degenerate")
-GRAVE = ("absorbed", "degenerate", "few_samples")
+GRAVE = ("input_factor", "absorbed", "degenerate", "few_samples")
 
 
 @dataclass(frozen=True)
@@ -253,8 +264,8 @@ def grave(fit: Estimate, concerns: Sequence[Concern]) -> tuple[Concern, ...]:
     Returns
     -------
     tuple of Concern
-        ``absorbed``, ``degenerate`` and ``few_samples``; empty where the fit can be used, or
-        where its status says already that it cannot.
+        ``input_factor``, ``absorbed``, ``degenerate`` and ``few_samples``; empty where the fit can
+        be used, or where its status says already that it cannot.
     """
     if not fit.status.ok:
         return ()
@@ -531,7 +542,7 @@ def _with_input_noise(
 
 def _input_factors(fit: Estimate) -> Iterator[Found]:
     """Inputs that act reversed, or in another unit, than the start values say."""
-    if fit.status.ok and fit.nominal:
+    if fit.nominal:
         for one in input_factors(fit, fit.nominal):
             yield Found(one.factor, one.channel.name, facts={"text": one.text})
 
@@ -698,8 +709,48 @@ def _unexplained(fit: Estimate) -> Iterator[Found]:
     moving = dict(zip(fit.model.output_names, moves | (len(poor) == len(shares)), strict=True))
     rest = "the noise is the rest"
     what = "disturbance forces hold the rest" if fit.innovations is not None else rest
-    for name in filter(moving.get, poor):
+    found = [name for name in poor if moving[name]]
+    excused = _carried_away(fit) if found and fit.innovations is not None else ()
+    for name in (name for name in found if name not in excused):
         yield Found(shares[name], name, facts={"what": what})
+
+
+def _carried_away(fit: Estimate) -> list[str]:
+    """Outputs of which disturbances leave runs no better than a constant, not the model.
+
+    Those whose innovations the model's answer to the inputs makes smaller; where there are any,
+    also those for which neither the fit nor its start values state an answer that would show.
+    """
+    begun = {name: value for name, value in fit.nominal.items() if name in fit.model.values}
+    stated, gained = _answers(fit)
+    at_first, _ = _answers(replace(fit, model=fit.model.with_values(begun)))
+    answered = (stated > CLEAR) & (gained > 0.0)
+    silent = (stated <= CLEAR) & (at_first <= CLEAR) & answered.any()
+    return [fit.model.output_names[column] for column in np.flatnonzero(answered | silent)]
+
+
+def _answers(fit: Estimate) -> tuple[np.ndarray, np.ndarray]:
+    """What innovations change by where inputs are held at their means, each ``(n_outputs,)``.
+
+    The root sum of squares in units of their standard deviations, and how much larger their own
+    sum of squares is then.
+    """
+    mean = np.concatenate([one.inputs for one in fit.dataset if not one.independent]).mean(axis=0)
+    held = [
+        one if one.independent else replace(one, inputs=np.tile(mean, (one.n_samples, 1)))
+        for one in fit.dataset
+    ]
+    passes = []
+    for records in (fit.dataset, Dataset(tuple(held))):
+        problem, unknowns = posed_again(replace(fit, dataset=records))
+        passes.append(problem.passes(unknowns, columns=False))
+    answer, gained = np.zeros((2, len(fit.model.outputs)))
+    for own, without in zip(*passes, strict=True):
+        std = np.sqrt(own.variances)
+        before, after = own.innovations / std, without.innovations / std
+        answer += np.nansum((after - before) ** 2, axis=0)
+        gained += np.nansum(after**2 - before**2, axis=0)
+    return np.sqrt(answer), gained
 
 
 # -- unknowns ------------------------------------------------------------------------
@@ -788,7 +839,7 @@ CHECKS = (
         "errors). Standard errors are of values within it; where the records are right about it, "
         "widen it, else look for what bends them.",
     ),
-    Check("input_factor", _input_factors, "see departures.input_factors", "{text}"),
+    Check("input_factor", _input_factors, "see likelihood.input_factors", "{text}"),
     Check(
         "records_differ", _records_differ, "a chance of 1 %; see between_records.exceeds",
         "Estimates scatter between the {n} records by more than their "

@@ -1,0 +1,109 @@
+"""Inputs that act reversed where the model couples them with other coefficients."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from oed_sysid import Dataset, Experiment, Input, Model, MultipleShooting, Parameter, improve
+from oed_sysid.evidence.check import check, with_estimates
+from oed_sysid.experiments.manoeuvres import PRBS
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.likelihood.input_factors import input_factors
+from oed_sysid.physics import quadratic_drag
+from oed_sysid.physics.bodies import rigid_body
+
+BODY = rigid_body(
+    ("surge", "sway", "yaw"),
+    mass=400.0,
+    inertia=300.0,
+    added_mass={"X_udot": -20.0, "Y_vdot": -300.0, "Y_rdot": -20.0, "N_rdot": -200.0},
+    position=(),
+)
+TRUE = {"X_absuu": -30.0, "Y_uv": -200.0, "Y_ur": 40.0, "N_uv": -60.0, "N_ur": -180.0}
+BEGUN = {"X_absuu": -36.0, "Y_uv": -170.0, "Y_ur": 50.0, "N_uv": -45.0, "N_ur": -230.0}
+
+
+def boat(values: dict[str, float], lift: float, *, lower: float = -np.inf) -> Model:
+    """A boat whose rudder sees the flow at its place, so that it damps as well as steers."""
+    slope = Parameter("L_rudder", lift, "kg/m", lower=lower)
+    return BODY.model(
+        "boat",
+        inputs=(Input("rudder", "rad"), Input("thrust", "N")),
+        actuators={"d": "rudder", "T": "thrust"},
+        effects=(
+            BODY.hull(values),
+            BODY.fin("rudder", "d", at=(-1.5, 0, 0), normal="vertical", lift=slope),
+            BODY.thruster("propeller", "T"),
+        ),
+        noise={"u": 0.02, "v": 0.02, "r": 0.003},
+        step=0.1,
+    )
+
+
+def records(seed: int, reads: float) -> Dataset:
+    """Two runs of the true boat, whose log holds the rudder times a factor."""
+    rng, model = np.random.default_rng(seed), boat(TRUE, 35.0)
+    found = []
+    for name, thrust in (("slow", 80.0), ("fast", 150.0), ("other", 110.0)):
+        steps = PRBS("rudder", 0.2, bit_time=1.0, seed=int(rng.integers(1, 100)))
+        run = Experiment(
+            name, steps, duration=40.0, sample_time=0.1,
+            constants={"thrust": thrust}, initial={"u": np.sqrt(thrust / 30.0)},
+        )  # fmt: skip
+        one = simulate(model, run, rng=rng)
+        found.append(replace(one, inputs=one.inputs * [reads, 1.0]))
+    return Dataset(tuple(found))
+
+
+@pytest.mark.parametrize("lower", [-np.inf, 0.0])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_reversed_rudder_that_other_coefficients_make_up_for_is_named(
+    lower: float, seed: int
+) -> None:
+    """The flow at the rudder asks for other hull derivatives; a bound hides the sign itself."""
+    data = records(seed, -1.0)
+    fit = MultipleShooting().fit(boat(BEGUN, 28.0, lower=lower), data)
+    (said,) = input_factors(fit, fit.nominal)
+    assert (said.channel.name, said.factor) == ("rudder", -1.0)
+    assert "L_rudder" in said.values
+    assert said.held == (() if lower < 0.0 else ("L_rudder",))
+    assert [(c.kind, c.signal) for c in fit.concerns if c.kind == "input_factor"] == [
+        ("input_factor", "rudder")
+    ]
+    if fit.status.ok:
+        assert fit.report().startswith(f"Do not use these values: {said.text}")
+    log = with_estimates(check(data, fit.model), fit)
+    assert [f.signals for f in log.serious if f.kind == "input_factor"] == [("rudder",)]
+
+
+@pytest.mark.parametrize("begun", [{}, {"N_uv": 45.0}, {"Y_ur": -50.0}])
+@pytest.mark.parametrize("lower", [-np.inf, 0.0])
+def test_a_right_rudder_is_not_accused(lower: float, begun: dict[str, float]) -> None:
+    """Also where a coefficient of the hull was expected with the other sign."""
+    fit = MultipleShooting().fit(boat(BEGUN | begun, 28.0, lower=lower), records(3, 1.0))
+    assert fit.values["L_rudder"] == pytest.approx(35.0, rel=0.1)
+    assert input_factors(fit, fit.nominal) == ()
+
+
+def test_a_rudder_that_does_nothing_is_at_its_bound_and_not_reversed() -> None:
+    """A lift of zero ends at its bound as often as not; the reversed rudder explains no more."""
+    data = records(4, 1.0)
+    rng = np.random.default_rng(0)
+    foreign = [replace(r, inputs=rng.permutation(r.inputs)) for r in data]
+    fit = MultipleShooting().fit(boat(BEGUN, 28.0, lower=0.0), Dataset(tuple(foreign)))
+    assert input_factors(fit, fit.nominal) == ()
+
+
+def test_nothing_is_searched_for_in_records_of_a_reversed_rudder() -> None:
+    """What a search would add replaces the rudder; the log is suspect and nothing certified."""
+    data = records(5, -1.0)
+    train, test = Dataset((data[0], data[1])), Dataset((data[2],))
+    drag = replace(quadratic_drag("drag", "N", "r"), terms={"r": "-E_drag*r*abs(r)"})
+    found = improve(boat(BEGUN, 28.0, lower=0.0), train, test, candidates=[drag])
+    assert not found.steps
+    assert found.remains.kind == "log suspect"
+    assert found.log is not None
+    assert [f.signals for f in found.log.serious if f.kind == "input_factor"] == [("rudder",)]
