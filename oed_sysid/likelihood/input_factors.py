@@ -197,7 +197,7 @@ def _reread(
     begun = {name: nominal.get(name, value) for name, value in fit.values.items()}
     other = replace(fit, model=fit.model.with_values(begun), dataset=reread)
     try:
-        end, cost = _ended(other), _ended(fit, again=True).cost
+        end, cost = _ended(other), _as_logged(fit)
     except (OedSysidError, np.linalg.LinAlgError):
         return None
     if not (np.isfinite(end.cost) and np.isfinite(cost)):
@@ -210,6 +210,12 @@ def _reread(
     rival = _Values(fit.model, by_name(names, values), by_name(names, errors), nominal)
     independent = sum(some for some, _ in fit.effective_samples().values())
     return rival, 2.0 * (cost - end.cost) / max(2.0 * cost / max(independent, 1.0), 1.0)
+
+
+@once_a_fit
+def _as_logged(fit: Estimate) -> float:
+    """What the same costs with the inputs as they were logged."""
+    return _ended(fit, again=True).cost
 
 
 def _ended(fit: Estimate, *, again: bool = False) -> Solution:
