@@ -22,6 +22,7 @@ from oed_sysid import (
     Sensor,
     State,
     load_problem,
+    simulate_inputs,
 )
 from oed_sysid import physics as effects
 from oed_sysid.compiled.kernels import Kernel, kernel
@@ -269,6 +270,25 @@ def test_deadband_offset_stall_gain_saturation() -> None:
         (effects.saturation("e", "d", 0.1), np.clip(d, -0.1, 0.1)),
     ):
         np.testing.assert_allclose(means(effect), expected, atol=1e-12)
+
+
+def test_a_gain_that_fades_counts_from_the_start_of_the_record() -> None:
+    """Thrust of a battery that sags: the same run an hour later is the same run."""
+    sag = effects.actuator_fading("sag", ("a", "b"), value=-0.01)
+    model = Model(
+        "two",
+        (State("x", "m"),),
+        (Input("a", "m/s"), Input("b", "m/s")),
+        (Output("x", "m", 1.0),),
+        {"x": "a + 2*b"},
+        effects=(sag,),
+        step=0.1,
+    )
+    times, inputs = np.linspace(0.0, 20.0, 41), np.ones((41, 2))
+    for later in (0.0, 3600.0):
+        run = simulate_inputs(model, later + times, inputs=inputs, initial={"x": 0.0})
+        expected = 3.0 * (times - 0.005 * times**2)
+        np.testing.assert_allclose(run.signal("x"), expected, atol=1e-9)
 
 
 def test_chain_starts_at_rest() -> None:

@@ -24,6 +24,7 @@ from benchmarks.truth import runge_kutta
 from oed_sysid.baselines import JointKalmanFilter
 from oed_sysid.cli import SUSPECT, main
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
+from oed_sysid.evidence.improve import improve
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood import multiple_shooting
@@ -35,7 +36,6 @@ from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import (
     FALSE_SHARE,
     held_masks,
-    noisy_inputs,
     repeating,
     size_of_few,
     spike_masks,
@@ -409,27 +409,41 @@ def test_noise_of_a_logged_input_is_named() -> None:
             replace(r, inputs=r.inputs + 0.02 * rng.standard_normal(r.inputs.shape)) for r in clean
         )
     )
-    assert "input_noise" in kinds(WHITE.fit(yaw_model(), noisy))
-    assert "input_noise" not in kinds(WHITE.fit(yaw_model(), clean))
+    # The log alone, which commands make as rough, says nothing.
+    assert "input_noise" not in kinds(WHITE.fit(yaw_model(), noisy))
+    assert "input_noise" not in kinds(MultipleShooting().fit(yaw_model(), clean))
     # Where it is asked for, its level is estimated, in the place of a force that explains as much.
     asked = MultipleShooting().fit(yaw_model(), noisy)
     assert asked.noise.places == ("actuator delta",)
     assert "input_noise" in kinds(asked)
 
 
+def test_an_exact_input_is_no_noise_however_rough() -> None:
+    """Gusts about a square wave, in every fit that finds nothing in the outputs."""
+    rng = np.random.default_rng(5)
+    model, data = yaw_model(), []
+    for n in (300, 240, 200):
+        times, gust = np.arange(n) * 0.5, np.zeros(n)
+        for k in range(1, n):
+            gust[k] = 0.9 * gust[k - 1] + 0.02 * rng.standard_normal()
+        rudder = 0.25 * np.sign(np.sin(2.0 * np.pi * times / 30.0)) + gust
+        clean = simulate_yaw(times, rudder, np.zeros(2), TRUE)
+        seen = clean + NOISE * rng.standard_normal(clean.shape)
+        data.append(Record(f"{n}", times, rudder[:, None], seen, model.channels))
+    train, validation = Dataset(tuple(data[:2])), Dataset((data[2],))
+    found = improve(model, train, validation, candidates=(), terms=False)
+    for fit in (WHITE.fit(model, train), MultipleShooting().fit(model, train), found.fit):
+        assert "input_noise" not in kinds(fit)
+
+
 def test_a_helmsmans_white_rudder_is_no_noise_of_the_log() -> None:
-    """What he answers to a noisy heading moves the ship: the records exclude noise of the log."""
+    """What he answers to a noisy heading moves the ship: outputs ask for no noise of the log."""
     scenario = SCENARIOS["ship_helm_white"]
     model = nominal_model(scenario.vehicle).with_values(believed(scenario))
     for drawn in simulate_worlds(scenario, 6, range(2)):
         data = dataset(scenario, model, drawn.runs)
-        fit = MultipleShooting().fit(model, data)
-        assert set(noisy_inputs(data)) == {"rudder"}
-        assert fit.process_noise is not None
-        assert fit.process_noise.inputs == ("rudder",)
-        assert "input_noise" not in kinds(fit)
-        unasked = MultipleShooting(disturbances="none").fit(model, data)
-        assert "input_noise" in kinds(unasked)
+        for asked in ("auto", "none", "all"):
+            assert "input_noise" not in kinds(MultipleShooting(disturbances=asked).fit(model, data))
 
 
 def test_filters_state_whether_their_innovations_are_right() -> None:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from steered_ship import LEVEL, NOISE, PERIOD, TIME, WIDTH, YAW, Share, nothing, sailed
 
 from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, Record, State
+from oed_sysid.evidence.improve import improve
 from oed_sysid.likelihood import laws as laws_module
 from oed_sysid.likelihood.filtered import Filtered
-from oed_sysid.likelihood.laws import Law, laws
+from oed_sysid.likelihood.laws import IN_THE_RUN, Law, laws, unresolved
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel, Sea
 
 
@@ -162,6 +165,64 @@ def test_slow_noise_of_a_sensor_that_follows_the_motion() -> None:
         problem = Filtered(quiet, Dataset(tuple(runs)), Levels.of(noise, noise).held())
         found[name] = laws(problem, problem.point([np.zeros(2)] * 2).unknowns)
     assert [law.place for law in found["law"] or ()] == ["noise of r"]
+
+
+def ferry(seed: int, fades: float, n: int = 400) -> Record:
+    """Speed under ordered thrust that fades over the run; exact steps of a linear drag."""
+    rng, step, u, rows = np.random.default_rng(seed), 0.5, 0.0, []
+    order = np.repeat(rng.uniform(0.3, 1.0, 20), n // 20)
+    for k, one in enumerate(order):
+        rows.append(u + 0.01 * rng.standard_normal())
+        u += (one * (1.0 - fades * k / n) - u) * -np.expm1(-step / 8.0)
+    return Record(f"{seed}", step * np.arange(n), order[:, None], np.array(rows), FERRY.channels)
+
+
+FERRY = Model(
+    "ferry",
+    (State("u", "m/s"),),
+    (Input("n", "rad/s"),),
+    (Output("u", "m/s", 0.01),),
+    {"u": "(k*n - u)/T"},
+    parameters=(Parameter("k", 0.9, "m"), Parameter("T", 7.0, "s", lower=0.5)),
+    step=0.5,
+)
+
+
+def test_what_fades_follows_the_time_in_the_run() -> None:
+    """The remark names time, and a fading gain is among usual candidates and is found."""
+    train, validation = (
+        Dataset(tuple(ferry(s, 0.15) for s in seeds)) for seeds in ((1, 2, 3), (4,))
+    )
+    follows = MultipleShooting().fit(FERRY, train).whole_runs.follows
+    assert follows
+    assert IN_THE_RUN in follows[0].signals
+    found = improve(FERRY, train, validation)
+    assert [step.added for step in found.steps if step.added] == ["n_fading"]
+    size, error = (of["E_n_fading"] for of in (found.fit.values, found.fit.std_errors))
+    assert abs(size + 0.15 / 200.0) < 4.0 * error
+    calm = MultipleShooting(disturbances="all").fit(FERRY, Dataset((ferry(5, 0.0), ferry(6, 0.0))))
+    assert not calm.whole_runs.follows
+
+
+def test_waves_too_fast_for_the_samples_are_not_asked() -> None:
+    """A heading every 5 s does not show whether a rudder leads or answers waves of 4.5 s."""
+    record = sailed(1, 0.3, nothing, shape="velocity")
+    sparse = np.where(np.arange(len(record.times))[:, None] % 25, np.nan, record.outputs)
+    sparse[:, 1] = np.nan
+    for period, outputs, said in (
+        (4.5, sparse, True),
+        (12.0, sparse, False),
+        (4.5, record.outputs, False),
+    ):
+        noise = NoiseModel.white_only(np.full(2, NOISE), ("psi", "r"))
+        noise = replace(noise, seas=(Sea(period, bandwidth=0.3, levels={"force r": LEVEL}),))
+        assert bool(unresolved(YAW, [record.with_outputs(outputs)], noise)) is said
+        # Where the law is not asked, it is not denied, and whole runs are not asked either.
+        problem = Filtered(
+            YAW, Dataset((record.with_outputs(outputs),)), Levels.of(noise, noise).held()
+        )
+        asked_of = laws(problem, problem.point([np.zeros(2)]).unknowns)
+        assert (asked_of is None) is said
 
 
 def test_a_fit_says_that_its_process_noise_follows_motion() -> None:

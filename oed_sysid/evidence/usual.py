@@ -532,6 +532,7 @@ def _moved(moved: Sequence[str], unit: str, sizes: Sizes) -> list[Effect]:
     lag = LAG * sizes.sample
     return listed(
         "usual_actuator", moved=moved, names="_".join(moved), unit=unit, lag=lag, step=sizes.step,
+        duration=sizes.duration,
         longest=2 * lag if 2 * lag <= LONGEST * sizes.step else None,
         swing=float(np.mean([sizes.swing[signal] for signal in moved])),
     )  # fmt: skip

@@ -160,15 +160,12 @@ class ProcessNoiseTest:
         Clear departure of a signal.
     actuator_starts : tuple of ActuatorStart
         Clear starts of actuators beside their first command.
-    inputs : tuple of str
-        Inputs whose log is as white as noise would be, and whose noise the records exclude.
     """
 
     statistic: float
     failed: str = ""
     departure: Departure | None = None
     actuator_starts: tuple[ActuatorStart, ...] = ()
-    inputs: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.likelihood import archive, estimate, judgement, prediction
 from oed_sysid.likelihood.departures import CLEARLY
 from oed_sysid.likelihood.disturbances import places
-from oed_sysid.likelihood.laws import Law, laws_of
+from oed_sysid.likelihood.laws import Law, laws_of, unresolved
 from oed_sysid.likelihood.whole_runs import WholeRuns, judged_runs
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.runtime.display import (
@@ -190,6 +190,8 @@ class Fit(estimate.Estimate):
     @property
     def _unasked(self) -> str:
         """Why runs under the noise model would not be those of the sea; empty where they would."""
+        if fast := unresolved(self.model, self.dataset, self.noise):
+            return fast
         waves = [one for one in self.concerns if one.kind == "narrow_band"]
         # Where a sea was looked for, and none or one was found, what is left is no such wave.
         asked = self.process_noise is not None or self.noise.seas

@@ -61,7 +61,7 @@ from itertools import chain, islice
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.special import ndtr, stdtr
+from scipy.special import chdtri, ndtr, stdtr
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.likelihood.between_records import FEWEST_RECORDS, WORTH_TELLING
@@ -79,18 +79,19 @@ from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate, on
 from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
 from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.integration import BIAS, half_step_change, step_change
-from oed_sysid.likelihood.laws import posed_again
+from oed_sysid.likelihood.laws import laws_of, loss_without, posed_again
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
+    RARE,
     fast_level,
     given_levels,
-    noisy_inputs,
     robust_deviation,
     signal_spread,
     spike_masks,
     spike_sizes,
     white_levels,
 )
+from oed_sysid.physics.unknown import random_effects
 from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
 from oed_sysid.text.units import shown_unit
 
@@ -514,21 +515,32 @@ def _starts(fit: Estimate) -> Iterator[Found]:
 
 
 def _inputs(fit: Estimate) -> Iterator[Found]:
-    """Logged inputs whose white noise reaches the outputs.
+    """Logged inputs whose estimated noise is clear, and reaches the outputs.
 
     The vehicle answers to the true input, not to its log; a fit to the log lets coefficients
-    shrink and errors look white (Fuller 1987, *Measurement error models*). But a helmsman's answers
-    to a noisy heading are as white, and move the vehicle: noise that the records exclude is none.
+    shrink and errors look white (Fuller 1987, *Measurement error models*). How rough a log is does
+    not tell: gusts, a servo's steps and a helmsman's answers are as white, and move the vehicle.
+    Noise that the outputs do not ask for is none. Where it was estimated beside forces it explains
+    what these do not; where in their place, they explain as much, and nothing tells which acts.
     """
-    excluded = () if fit.process_noise is None else fit.process_noise.inputs
-    for name, level in noisy_inputs(fit.dataset).items():
-        if name in excluded:
+    known = {effect.noise.place for effect in random_effects(fit.model.effects) if effect.noise}
+    names, rng = fit.model.input_names, np.random.default_rng(0)
+    for place, level in zip(fit.noise.places, fit.noise.force, strict=True):
+        stage, _, name = place.partition(" ")
+        if stage != "actuator" or place in known or name not in names or not level > 0.0:
             continue
-        column, rng = fit.model.input_names.index(name), np.random.default_rng(0)
+        # At zero, a bound, half of all statistics are none.
+        if not loss_without(fit, place) > chdtri(1, 2.0 * RARE) or laws_of(fit):
+            continue
+        column = names.index(name)
         size = change_of_outputs(fit, partial(_with_input_noise, fit, column, level, rng))
         if SAME < size < np.inf:
-            facts = {"level": level, "unit": fit.model.inputs[column].unit}
-            yield Found(size, name, facts=facts)
+            beside = any(not one.startswith("actuator ") for one in fit.noise.places)
+            yield Found(size, name, facts={
+                "level": level, "unit": fit.model.inputs[column].unit,
+                "how": "better than forces do" if beside else "as well as forces do, which these "
+                "records cannot tell from it",
+            })  # fmt: skip
 
 
 def _with_input_noise(
@@ -907,11 +919,11 @@ CHECKS = (
         "declare noise_std, check signs and units, or look for what is missing.",
     ),
     Check(
-        "input_noise", _inputs, f"{SAME:g} noise levels",
-        "The log of input {signal} carries white noise of {level:.3g} "
-        "{unit}; fed to the model it moves the outputs by {size:.2g} noise "
-        "levels. The vehicle answers to the true input: fit the command instead of the "
-        "measurement, or smooth the log, or allow a disturbance force at its actuator.",
+        "input_noise", _inputs, f"a chance of {100 * RARE:g} %, and {SAME:g} noise levels",
+        "White noise of {level:.3g} {unit} on the log of input {signal} explains what disturbs the "
+        "vehicle {how}; fed to the model it moves the outputs by {size:.2g} noise levels. The "
+        "vehicle answers to the true input. The fit holds that noise; where the command is logged, "
+        "too, fit it instead of the measurement.",
     ),
     Check(
         "narrow_band", _narrow_bands, "a chance of 1 %; see covariance.clear_peaks",

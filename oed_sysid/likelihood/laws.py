@@ -6,8 +6,10 @@ function of motion and commands. At the estimate,
 .. math:: d_k = \sum_j a_j f_j(x_{k|k}, u_k) + w_k , \qquad a = 0,
 
 with :math:`f_j` piecewise linear functions of every state on the filtered path and of every command
-that moves, and these after lags of first order. With the derivatives :math:`G` of the whitened
-innovations :math:`e` by the :math:`a_j`, and :math:`K` those by everything that was estimated,
+that moves, and these after lags of first order, and of the time since the record began, alone and
+times each command: what fades or warms up is one, too. With the derivatives :math:`G` of the
+whitened innovations :math:`e` by the :math:`a_j`, and :math:`K` those by everything that was
+estimated,
 
 .. math::
     s = -G'e + G'K (K'K)^{+} K'e, \qquad M = G'G - G'K (K'K)^{+} K'G, \qquad T = s' M^{+} s
@@ -16,7 +18,9 @@ is what the best such law would gain in twice the log-likelihood (Rao 1948; Whit
 square of :math:`e` by which it is divided where it exceeds one). An innovation knows nothing of
 what was measured or commanded before it, so that :math:`T` is a chi-squared variable where no law
 is missing: also where a helmsman, an autopilot or the rule of a zigzag answers the disturbance,
-which runs without measurements do not bear.
+which runs without measurements do not bear. Where waves are faster than two samples of what they
+move (Nyquist), commands may answer motion that the log does not hold, and tell of innovations to
+come: there it is not asked.
 
 Motion that a disturbance moves is itself random, and where it wanders (a position without a spring)
 :math:`T` is larger than chi-squared, by a third for three such equations (Dickey & Fuller 1979 for
@@ -41,15 +45,19 @@ from oed_sysid.data.record import Record
 from oed_sysid.errors import SimulationError
 from oed_sysid.likelihood.disturbances import DISTURBANCE, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
-from oed_sysid.likelihood.estimate import Estimate
+from oed_sysid.likelihood.estimate import Estimate, once_a_fit
 from oed_sysid.likelihood.filtered import Filtered, disturbed_model
+from oed_sysid.likelihood.gauss_newton import solve_filtered
 from oed_sysid.likelihood.noise_levels import RARE, first_order
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
 from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.score_test import Setting
+from oed_sysid.likelihood.shooting import Point
 from oed_sysid.likelihood.smoother import Path, smoothable
 from oed_sysid.likelihood.unknowns import KnownStarts
+from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
+from oed_sysid.text import expressions
 
 # Knots of a piecewise linear function, and lags of first order, of every signal.
 KNOTS, LAGS = 5, 3
@@ -60,6 +68,8 @@ ABSORBED = 1e-3
 CLEARLY = 0.7
 # Records drawn to see how large a statistic is by chance, at least and at most: until it is clear.
 FEWEST_DRAWS, DRAWS = 5, 20
+# How time since the start of a record is called among the signals.
+IN_THE_RUN = "the time in the run"
 # How the slow noise of a sensor is called in the place of a force.
 SLOW = "noise of "
 
@@ -92,11 +102,13 @@ class Law:
     def text(self) -> str:
         """In words, for instance ``force Z follows z (score 515; by chance 81)``."""
         score = f"score {self.statistic:.0f}; by chance {self.needed:.0f}"
-        return f"{self.place} follows {' and '.join(self.signals)} ({score})"
+        what = ": something fades or warms up" if IN_THE_RUN in self.signals else ""
+        return f"{self.place} follows {' and '.join(self.signals)}{what} ({score})"
 
     to_dict = as_dict("place", "signals", "statistic", "freedom", "needed")
 
 
+@once_a_fit
 def laws_of(fit: Estimate) -> tuple[Law, ...] | None:
     """Laws that the process noise of a fit holds; None where that cannot be asked."""
     if not len(fit.initial_states) == len(fit.local_values) == len(fit.dataset):
@@ -135,6 +147,18 @@ def posed_again(
     return problem, problem.point(fit.initial_states, fit.local_values).unknowns
 
 
+def loss_without(fit: Estimate, place: str) -> float:
+    """Likelihood-ratio statistic of the disturbance at one place of a fit, levels free."""
+    problem, unknowns = posed_again(fit, levels=True)
+    force = np.where(np.isin(fit.noise.places, place), 0.0, fit.noise.force)
+    levels = problem.levels.starting(replace(fit.noise, force=force))
+    levels = levels.only([name != f"{place} level" for name in levels.names])
+    others = unknowns[: problem.layout.levels.start]
+    point = Point(np.append(others, levels.vector()), ())
+    end = solve_filtered(problem.with_levels(levels), point, polish=0)
+    return end.objective - problem.objective(unknowns)
+
+
 def laws(problem: Filtered, unknowns: np.ndarray) -> tuple[Law, ...] | None:
     """Disturbances of a problem that follow motion and commands, one entry each.
 
@@ -148,8 +172,11 @@ def laws(problem: Filtered, unknowns: np.ndarray) -> tuple[Law, ...] | None:
     Returns
     -------
     tuple of Law or None
-        None where it cannot be asked: the filter diverges, or nothing moves.
+        None where it cannot be asked: the filter diverges, nothing moves, or waves are too fast
+        for the samples.
     """
+    if unresolved(problem.model, problem.records, problem.noise(unknowns)):
+        return None
     try:
         end = _End(problem, unknowns, *smoothable(problem, unknowns))
     except SimulationError:
@@ -162,6 +189,36 @@ def laws(problem: Filtered, unknowns: np.ndarray) -> tuple[Law, ...] | None:
         usual = end.usual(standing)
         standing = [replace(one, usual=usual.get(one.place, 1.0)) for one in standing]
     return tuple(one.law(owners) for one in standing if one.stands)
+
+
+def unresolved(model: Model, records: Iterable[Record], noise: NoiseModel) -> str:
+    """Waves faster than two samples of every sensor of what they move, in words; often empty."""
+    for sea in noise.seas:
+        for place in (p for p, level in (sea.levels or {}).items() if level > 0):
+            equation = place.removeprefix("force ")
+            state = model.axes.get(equation, equation)
+            moved = {state, *(of for of, text in model.kinematics.items() if text == state)}
+            told = [bool(moved & expressions.names(output.source)) for output in model.outputs]
+            apart = _intervals(records)[told if any(told) else slice(None)]
+            if sea.period < 2.0 * apart.min(initial=np.inf) < np.inf:
+                return (
+                    f"waves of {sea.period:.2g} s move {state}, of which there is a sample every "
+                    f"{apart.min():.2g} s: two in each wave would show whether forces or commands "
+                    "lead"
+                )
+    return ""
+
+
+def _intervals(records: Iterable[Record]) -> np.ndarray:
+    """Median time between samples of each output, where records have most, s; else infinite."""
+    found = [
+        [
+            float(np.median(np.diff(record.times[seen]))) if seen.sum() > 1 else np.inf
+            for seen in np.isfinite(record.outputs).T
+        ]
+        for record in records
+    ]
+    return np.min(found, axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,7 +426,9 @@ def _features(
         _signals(problem, record, part.path)
         for record, part in zip(problem.records, passes, strict=True)
     ]
-    found = [[np.ones((len(record.times), 1))] for record in problem.records]
+    longest = max(record.duration for record in problem.records)
+    into = [(record.times[:, None] - record.times[0]) / longest for record in problem.records]
+    found = [[np.ones_like(own)] for own in into]
     owners = [""]
     for name in signals[0]:
         columns = [own[name] for own in signals]
@@ -377,14 +436,24 @@ def _features(
         knots = np.unique(np.quantile(pooled, np.linspace(0, 1, KNOTS)))
         if len(knots) < 2:
             continue
-        # All but one: they add up to the constant.
-        hats = np.eye(len(knots))[1:]
-        for own, record, column in zip(found, problem.records, columns, strict=True):
-            own += [np.interp(column, knots, hat)[:, None] for hat in hats]
-            own.append(_lagged(record.times, column / np.std(pooled)))
-        owners += [name] * (len(hats) + LAGS)
-    moves = len(owners) > 1
-    return [np.hstack(own) for own in found], np.array(owners if moves else [], dtype=str)
+        fades = name in problem.model.input_names
+        # All hats but one: they add up to the constant.
+        for own, record, column, time in zip(found, problem.records, columns, into, strict=True):
+            hats = _hats(column, knots)
+            own += [hats, _lagged(record.times, column / np.std(pooled))]
+            own += [time * hats] * fades
+        size = len(knots) - 1
+        owners += [name] * (size + LAGS) + [IN_THE_RUN] * (size * fades)
+    if len(owners) > 1:
+        owners += [IN_THE_RUN] * (KNOTS - 1)
+        for own, time in zip(found, into, strict=True):
+            own.append(_hats(time[:, 0], np.linspace(0.0, 1.0, KNOTS)))
+    return [np.hstack(own) for own in found], np.array(owners if len(owners) > 1 else [], dtype=str)
+
+
+def _hats(series: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """Piecewise linear functions, one at every knot but the first, ``(n_times, n_knots - 1)``."""
+    return np.column_stack([np.interp(series, knots, hat) for hat in np.eye(len(knots))[1:]])
 
 
 def _signals(problem: Filtered, record: Record, path: np.ndarray) -> dict[str, np.ndarray]:

@@ -52,7 +52,6 @@ from oed_sysid.likelihood.score_test import (
     CLEAR,
     ScoreTest,
     Setting,
-    excluded_inputs,
     score_test,
 )
 from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
@@ -455,8 +454,7 @@ class MultipleShooting:
             test = _score(fit, setting, starts[0], task.carried, tests=tests)
         except SimulationError:  # the model itself diverges: the status says so
             return fit, None
-        excluded = excluded_inputs(setting, starts[0]) if test.gain < np.inf else ()
-        fit = replace(fit, process_noise=ProcessNoiseTest(test.gain, inputs=excluded))
+        fit = replace(fit, process_noise=ProcessNoiseTest(test.gain))
         if tests and test.gain < CLEAR:
             return fit, None
         test = replace(test, noise=_declared_levels(test.noise, declared))
@@ -467,9 +465,7 @@ class MultipleShooting:
         if tests and _no_likelier(found, fit):
             return fit, None
         own = with_levels(found.model, found.noise)
-        # Noise of inputs was asked for beside these forces and in their place.
-        absent = [p.channel for p in setting.inputs if not found.noise.level(p.name)[0]]
-        asked = ProcessNoiseTest(test.gain, inputs=tuple(absent))
+        asked = ProcessNoiseTest(test.gain)
         if fit.names:  # departures of signals and starts of actuators, which the forces absorb
             asked = replace(
                 asked, departure=clear_departure(fit), actuator_starts=clear_starts(fit)

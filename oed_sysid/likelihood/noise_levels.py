@@ -139,26 +139,6 @@ def shown_in_log(dataset: Dataset, name: str) -> float:
     return level if np.isfinite(level) else np.inf
 
 
-def noisy_inputs(dataset: Dataset) -> dict[str, float]:
-    """Level of the white noise of every input whose log shows some, in its unit.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    """
-    found: dict[str, float] = {}
-    records = [record for record in dataset if not record.independent]
-    for column, name in enumerate(dataset[0].channels.input_names if records else ()):
-        series = [record.inputs[:, column] for record in records]
-        level = fast_level(series)
-        spread = float(np.std(np.concatenate(series)))
-        # Noise is what no longer falls with the order of the differences.
-        noise = fast_level(series, LOWEST_ORDER + 1) > STILL_FALLING * level
-        if noise and LAST_DIGIT * spread < level < 0.3 * spread:  # above, it is an excitation
-            found[name] = level
-    return found
-
-
 def signal_spread(dataset: Dataset) -> np.ndarray:
     """Standard deviation of each measured signal, at least a tiny positive number."""
     stacked = np.vstack([record.outputs - _first(record.outputs) for record in dataset])

@@ -400,29 +400,3 @@ def _score_at(setting: Setting, start: Start, dataset: Dataset, time: float) -> 
         replace(quiet, force=np.sqrt(np.maximum(step[:n_forces], 0.0)), colour=colour),
         replace(one, force=np.sqrt(natural)),
     )
-
-
-def excluded_inputs(setting: Setting, start: Start) -> tuple[str, ...]:
-    """Inputs whose log is as white as noise would be, and whose noise the records exclude.
-
-    At a white fit, where noise of the level that the log shows, and of half of it, is clearly less
-    likely than none.
-
-    Parameters
-    ----------
-    setting, start
-        As of :func:`score_test`.
-    """
-    quiet = NoiseModel.white_only(setting.white, setting.model.output_names)
-    found = []
-    # A log that shows no noise of its own says nothing against it.
-    for place in (one for one in setting.inputs if np.isfinite(setting.most_input[one.name])):
-        none = quiet.with_places([place.name], 0.0)
-        shown = replace(none, force=np.array([setting.most_input[place.name] / TWOFOLD]))
-        problem, begin = setting.problem(start, Levels.of(none, shown, force=True))
-        begin = begin[:-1]
-        costs = [problem.objective(np.append(begin, part**2)) for part in (0.0, 0.5, 1.0)]
-        # Each unknown has taken a square from the residuals, as it would from those of more noise.
-        if min(costs[1:]) > costs[0] + CLEAR + len(begin):
-            found.append(place.channel)
-    return tuple(found)

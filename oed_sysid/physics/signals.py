@@ -39,6 +39,19 @@ def stall(name: str, signal: str, *, scale: float = 2.0, value: float = 0.0) -> 
 
 
 @table.row(Actuator)
+def actuator_fading(name: str, signal: str | Sequence[str], *, scale: float = 1e-3,
+                    value: float = 0.0) -> table.Derived:
+    r"""Gain that changes with the time since the record began, :math:`1 + E (t - t_0)`.
+
+    Batteries that sag, motors and oil that warm up; of one signal or of several alike.
+
+    >>> actuator_fading("sag", "n").description
+    'gain of n changes over each record'
+    """
+    return {"began": f"began_{name}", "memory": (Memory(f"began_{name}", f"began_{name}", "t"),)}
+
+
+@table.row(Actuator)
 def actuator_lag(name: str, signal: str | Sequence[str], *, scale: float = 0.25, value: float = 0.0,
                  parameter: str | None = None) -> None:
     """First-order lag of time constant ``E``, of one signal or of several alike.
