@@ -39,9 +39,9 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence import contrasts, words
 from oed_sysid.evidence.contrasts import Found, Piece, Question, Result
-from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
+from oed_sysid.evidence.corrections import corrected_copies, why_not_more
 from oed_sysid.evidence.inputs import between_runs, input_findings, scaled_inputs
-from oed_sysid.evidence.readings import Evidence, diagnosed
+from oed_sysid.evidence.readings import Evidence, diagnosed, thinned
 from oed_sysid.evidence.relations import (
     Relation,
     names_of,
@@ -243,14 +243,13 @@ def rank_axes(dataset: Dataset, problem: Problem | Model | None = None) -> tuple
     if not question.relations:
         return ()
     clean, units = _clean(traces, faults), units_of(traces)
-    coarse = [trace.thinned(2 * contrasts.MOST_BLOCKS) for trace in clean]
     ways = contrasts.readings(clean, question.relations)
     turned = contrasts.turned_axes(names_of(question.relations), units)
-    evidence = Evidence(question)
+    evidence = Evidence(question, thinned(clean))
     found = {"as read": 0.0}
     for one in chain(ways, turned):
         if one.correction.kind in _OF_AXES and len({units[n] for n in one.correction.signals}) == 1:
-            found[words.say_reading(one)] = evidence.gained(coarse, [one.correction])
+            found[words.rival(one)] = evidence.gained([one.correction])
     return tuple(RankedAxes(*one) for one in sorted(found.items(), key=lambda one: -one[1]))
 
 
@@ -276,10 +275,9 @@ def _related(
     """Steps with the sizes that equations give, what these find, how well they hold, the search."""
     steps = {one: _steps(one, clean, equations) for one in faults if one.kind == "step"}
     known = {fix.key: fix for fixes in steps.values() for fix in fixes or ()}
-    found, ended = diagnosed(clean, Question.of(clean, equations), [*known.values()])
+    found, ended = diagnosed(clean, Question.of(clean, equations, known.values()))
     sized = {one.correction.key: one for one in ended.found}
-    fixes = [*(one.correction for one in found), *(one.correction for one in ended.found)]
-    mended = [undo(trace, fixes, equations) for trace in clean]
+    mended = contrasts.mended(clean, (*found, *ended.found), equations)
     ends = {trace.name: trace.ends for trace in clean}
     log = words.Log(dataset.channels, equations, dataset.names, ends, _sensed(model.effects))
     findings = [*map(log.reading, found)]
@@ -308,7 +306,7 @@ def _steps(
         Correction("step", (fault.signal,), size, record=fault.record, span=(float(share), 1.0))
         for share, size in zip(shares, fault.sizes, strict=True)
     ]
-    return fixes if Evidence(some).gained([here], fixes) > 0.0 else []
+    return fixes if Evidence(some, [here]).gained(fixes) > 0.0 else []
 
 
 def _resized(

@@ -57,7 +57,7 @@ from oed_sysid.evidence.traces import LEAST, MATERIAL, RELATIVE, Trace, fast_noi
 # Resolution: block means of a piece; and places a record at which a step or a burst is tried before
 # its place is refined.
 MOST_BLOCKS = 240
-PLACES = MOST_BLOCKS // 4
+PLACES = MOST_BLOCKS // 2
 PLACED = np.arange(1, PLACES) / PLACES
 # Variance of noise at one place of a record over that of the whole.
 VARYING = 1.5
@@ -83,12 +83,12 @@ CURVED = 1e-3
 
 @dataclass(frozen=True)
 class Candidate:
-    """A fault with a size that a log may have.
+    """A fault that a log may have: with a size, or another reading of the same numbers.
 
     Parameters
     ----------
     kind : str
-        A key of :data:`SHAPES`.
+        A key of :data:`SHAPES`, or of a reading (sign, unit, swap, frame, offset, misalignment).
     signals : tuple of str
         Signals that it acts on.
     unit : str
@@ -101,25 +101,25 @@ class Candidate:
         The only record that it acts in; empty for all of them.
     span : tuple of float
         Shares of the record at which a step or burst begins, and a burst ends.
-    unit_of : str
-        For a scale: the unit of the signal.
     rare : float
         Twice the logarithm of the odds by which it is rarer than its rivals.
     positive : bool
         Whether it cannot be less than nothing: no lag is.
+    meaning : str
+        The other unit or the quarter of a turn of another reading, in words.
     """
 
     kind: str
     signals: tuple[str, ...]
-    unit: str
-    plausible: float
-    material: float
+    unit: str = "1"
+    plausible: float = 1.0
+    material: float = 0.0
     other: tuple[str, ...] = ()
     record: str = ""
     span: tuple[float, float] = (0.0, 1.0)
-    unit_of: str = ""
     rare: float = 0.0
     positive: bool = False
+    meaning: str = ""
 
     @property
     def placed(self) -> bool:
@@ -245,21 +245,29 @@ class Question:
     local : tuple of Candidate
         What may begin at any place of a record: steps (and bursts) of signals, inputs that have
         lost their effect, forces that set in.
-    readings : tuple of Reading
+    readings : tuple of Found
         Other readings of the same numbers.
     given : tuple of Candidate
         Errors that are in every regression, of a size that is known before.
+    known : tuple of Correction
+        Steps that the signals show without any equation, which give them their sizes.
     """
 
     relations: tuple[Relation, ...]
     common: tuple[Candidate, ...]
     single: tuple[Candidate, ...] = ()
     local: tuple[Candidate, ...] = ()
-    readings: tuple[Reading, ...] = ()
+    readings: tuple[Found, ...] = ()
     given: tuple[Candidate, ...] = ()
+    known: tuple[Correction, ...] = ()
 
     @classmethod
-    def of(cls, traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Question:
+    def of(
+        cls,
+        traces: Sequence[Trace],
+        relations: tuple[Relation, ...],
+        known: Iterable[Correction] = (),
+    ) -> Question:
         """Everything that may be wrong with signals that equations relate."""
         facts = Facts(traces, relations)
         drifts = tuple(facts.drifts())
@@ -267,11 +275,13 @@ class Question:
         plain = [d for d in drifts if {*d.signals} - facts.integrated or len(facts.positions) > 1]
         common = (*facts.sensors(), *facts.clocks(), *facts.places(), *plain)
         apart = [c for c in (*common, *drifts) if c.kind in ("bias", "scale", "drift")]
-        several = traces if 1 < len(traces) <= PLACES else ()
+        several = traces if 1 < len(traces) <= PLACES // 2 else ()
         pairs = ((t, c) for t, c in product(several, apart) if {*c.signals} <= t.values.keys())
         single = dict.fromkeys(replace(c, record=t.name) for t, c in pairs)
-        local = tuple(map(facts.step_of, facts.size))
-        return cls(relations, common, tuple(single), local, tuple(readings(traces, relations)))
+        local, read = map(facts.step_of, facts.size), readings(traces, relations)
+        return cls(
+            relations, common, tuple(single), tuple(local), tuple(read), known=tuple(known)
+        )  # fmt: skip
 
 
 class Facts:
@@ -302,7 +312,7 @@ class Facts:
         for n in self.size:
             # Positions and depths are told by satellites and pressure: rarely of wrong scale.
             rare = RARER * (n in self.integrated)
-            yield Candidate("scale", (n,), "1", 0.25, RELATIVE, unit_of=self.units[n], rare=rare)
+            yield Candidate("scale", (n,), "1", 0.25, RELATIVE, rare=rare)
 
     def clocks(self) -> Iterator[Candidate]:
         """Delays and rates of clocks of each signal, of all positions and of all velocities."""
@@ -348,29 +358,29 @@ class Piece:
     """Cosine coefficients of one equation over one uninterrupted piece of a record.
 
     ``times`` are those of the blocks, ``residual`` and ``target`` ``(n,)``, ``columns``
-    ``(n, n_used)`` of the candidates ``used``, ``angle`` the frequencies in rad a block, which has
-    ``group`` samples and length ``span`` in s; ``walk`` is the variance per block that the fast
-    noise of the rates produces, ``level`` that of the left side, ``shares`` the part of each signal
-    in ``walk``, ``ramps`` what a unit of each kind of local fault of a signal adds to the contrast,
-    in blocks.
+    ``(n, n_used)`` of the candidates ``used``, those in the record before those at its places; a
+    block has ``group`` samples and length ``span`` in s; ``walk`` is the variance per block that
+    the fast noise of the rates produces, ``level`` the deviation of the left side's, ``shares`` the
+    part of each signal in ``walk``.
     """
 
     relation: int
-    target_name: str
-    is_rate: bool
     record: str
     times: np.ndarray
     residual: np.ndarray
     target: np.ndarray
     columns: np.ndarray
     used: np.ndarray
-    angle: np.ndarray
     span: float
     group: int
     walk: float
     level: float
     shares: Mapping[str, float]
-    ramps: Mapping[tuple[str, str], np.ndarray]
+
+    @property
+    def angle(self) -> np.ndarray:
+        """Frequency of each coefficient, rad a block."""
+        return np.pi * np.arange(1, self.times.size) / self.times.size
 
     @property
     def weight(self) -> np.ndarray:
@@ -395,18 +405,46 @@ class Piece:
         return result
 
 
+@dataclass(frozen=True)
+class Anywhere:
+    """A fault of one signal that may begin at any of :data:`PLACED`, in one equation of a record.
+
+    ``first`` is the candidate at the first place; ``begins`` and ``ends`` are the times of all of
+    them, s. A unit of it adds ``level`` to the left side while it lasts, and what ``left`` less the
+    integral of ``inside``, ``(n_times,)`` each, has grown by since it began.
+    """
+
+    first: int
+    begins: np.ndarray
+    ends: np.ndarray
+    level: float
+    left: np.ndarray
+    inside: np.ndarray
+
+    def columns(self, times: np.ndarray, grown: np.ndarray, *, rated: bool) -> np.ndarray:
+        """Its contrasts at the times of blocks, ``(n_blocks, n_places)``; ``grown`` of each."""
+        n, begun = times.size, np.searchsorted(times, self.begins)
+
+        def lasting(row: np.ndarray) -> np.ndarray:
+            before = grown[np.minimum(row, n - 1)] if rated else 0.0
+            since = np.arange(n)[:, None] >= row
+            return np.where(since, self.level + grown[:, None] - before, 0.0)
+
+        return lasting(begun) - lasting(np.maximum(np.searchsorted(times, self.ends), begun + 1))
+
+
 def contrasts(
     trace: Trace,
     relations: tuple[Relation, ...],
     faults: Sequence[Candidate] = (),
     factors: Mapping[str, float] | None = None,
-    local: Sequence[Candidate] = (),
+    places: Sequence[Candidate] = (),
 ) -> Iterator[Piece]:
     """Contrasts of all equations in one record, and the column of each candidate.
 
     ``factors`` are the scales that were undone, by signal: a contrast is taken in the unit that
-    its left side was logged in, or shrinking a signal would shrink its noise. ``local`` are
-    candidates that may begin anywhere.
+    its left side was logged in, or shrinking a signal would shrink its noise. ``places`` are
+    candidates that may begin anywhere, each at all of :data:`PLACED`.
     """
     factors = factors or {}
     motion = Motion(trace, relations)
@@ -421,34 +459,40 @@ def contrasts(
         for shape in shapes.values():
             inside = sum((slopes[n] * shape[n] for n in slopes if n in shape), zero)
             pairs.append((shape.get(relation.target, zero), inside))
-        ramps = _ramps(relation, motion, slopes, local)
-        left, inside = (np.column_stack(one) for one in zip(*pairs, *ramps.values(), strict=True))
-        factor, used = factors.get(relation.target, 1.0), ([*shapes], [*ramps])
-        yield from _pieces(trace, (index, relation), (left, inside), used, slopes, factor)
+        begun = [*_begun_anywhere(relation, motion, slopes, (len(faults), places))]
+        pairs += [(one.left, one.inside) for one in begun]
+        left, inside = (np.column_stack(one) for one in zip(*pairs, strict=True))
+        factor, named = factors.get(relation.target, 1.0), ([*shapes], begun)
+        yield from _pieces(trace, (index, relation), (left, inside), named, slopes, factor)
 
 
-def _ramps(
+def _begun_anywhere(
     relation: Relation,
     motion: Motion,
     slopes: Mapping[str, np.ndarray],
-    local: Sequence[Candidate],
-) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
-    """What a unit of what may begin anywhere adds to a left side, and to the integral."""
-    result = dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]()
-    zero = np.zeros(motion.elapsed.size)
-    for kind, name in ((one.kind, one.signals[0]) for one in local):
-        if kind == "drift" and name == relation.target:
-            result[kind, name] = motion.elapsed, zero
-        elif kind != "drift" and name in slopes:
-            own = motion.raw.get(logged(name), motion.raw[name]) if kind == "lost" else 1.0
-            result[kind, name] = zero, slopes[name] * own
-    return result
+    numbered: tuple[int, Sequence[Candidate]],
+) -> Iterator[Anywhere]:
+    """What may begin at any place of a record and shows in an equation; numbered from a first."""
+    times, zero, (number, places) = motion.trace.times, 0.0 * motion.elapsed, numbered
+    begins = times[0] + PLACED * motion.elapsed[-1]
+    for k in range(0, len(places), PLACED.size):
+        one, (name,), first = places[k], places[k].signals, number + k
+        if one.record != motion.trace.name:
+            continue
+        lasts = motion.elapsed[-1] / PLACES if one.kind == "burst" else np.inf
+        level = float(one.kind in ("step", "burst") and name == relation.target)
+        if one.kind == "drift" and name == relation.target:
+            yield Anywhere(first, begins, begins + lasts, level, motion.elapsed, zero)
+        elif one.kind != "drift" and (level or name in slopes):
+            own = motion.raw.get(logged(name), motion.raw[name]) if one.kind == "lost" else 1.0
+            inside = own * slopes.get(name, zero)
+            yield Anywhere(first, begins, begins + lasts, level, zero, inside)
 
 
 def _slopes(relation: Relation, motion: Motion, touched: set[str]) -> dict[str, np.ndarray]:
     """Derivatives of a right side by the signals that a fault touches, or that have noise."""
     inner, trace = {n: motion.raw[n] for n in relation.signals}, motion.trace
-    names = (n for n in relation.asked if n in touched or trace.noise[n] > 0.0)
+    names = (n for n in relation.asked or inner if n in touched or trace.noise[n] > 0.0)
     return {n: relation.slope(inner, trace.times, n) for n in names}
 
 
@@ -456,16 +500,16 @@ def _pieces(
     trace: Trace,
     numbered: tuple[int, Relation],
     columns: tuple[np.ndarray, np.ndarray],
-    named: tuple[Sequence[int], Sequence[tuple[str, str]]],
+    named: tuple[Sequence[int], Sequence[Anywhere]],
     slopes: Mapping[str, np.ndarray],
     factor: float,
 ) -> Iterator[Piece]:
     """Contrasts over each uninterrupted piece, as cosine coefficients of block means."""
-    (index, relation), (left, inside), (used, keys) = numbered, columns, named
+    (index, relation), (left, inside), (shaped, begun) = numbered, columns, named
     rated = relation.is_rate
     power = {name: trace.noise[name] ** 2 * _spacing(trace, name) for name in slopes}
-    usable = trace.usable(relation.signals)
-    for piece in trace.pieces(usable, LEAST):
+    used = np.array([*shaped, *(one.first + k for one in begun for k in range(PLACED.size))], int)
+    for piece in trace.pieces(trace.usable(relation.signals), LEAST):
         times = trace.times[piece]
         rows = np.flatnonzero(np.isfinite(left[piece, 0]))
         # Means of blocks: what is fast tells no constant error, and long records stay cheap.
@@ -478,30 +522,30 @@ def _pieces(
         # Left side less integral of the right: zero but for noise, and for what is wrong.
         whole = (left[piece] - sums)[rows]
         means = factor * whole.reshape(n, group, -1).mean(axis=1)
+        middle = times[rows].reshape(n, group).mean(axis=1)
+        grown = zip(begun, means[:, 2 + len(shaped) :].T, strict=True)
+        placed = [one.columns(middle, series, rated=rated) for one, series in grown]
         # The constant is left out: an integral is known up to where it began.
-        waves = dct(means[:, : 2 + len(used)], axis=0, norm="ortho")[1:]
+        waves = dct(np.hstack([means[:, : 2 + len(shaped)], *placed]), axis=0, norm="ortho")[1:]
         if not waves[:, :2].any():  # a constant says nothing
             continue
         span = float(times[-1] - times[0]) / n
         walks = {name: float(np.mean(slopes[name][piece] ** 2)) * p for name, p in power.items()}
         total = sum(walks.values())
+        shares = {name: walk / total if total else 0.0 for name, walk in walks.items()}
         yield Piece(
             relation=index,
-            target_name=relation.target,
-            is_rate=rated,
             record=trace.name,
-            times=times[rows].reshape(n, group).mean(axis=1),
+            times=middle,
             residual=waves[:, 0],
             target=waves[:, 1],
             columns=waves[:, 2:],
-            used=np.array(used, dtype=int),
-            angle=np.pi * np.arange(1, n) / n,
+            used=used,
             span=span,
             group=group,
             walk=factor**2 * total * (span if rated else 0.0),
             level=factor * trace.noise[relation.target] / np.sqrt(group),
-            shares={name: walk / total if total else 0.0 for name, walk in walks.items()},
-            ramps=dict(zip(keys, means[:, 2 + len(used) :].T, strict=True)),
+            shares={**shares, relation.target: -1.0},
         )
 
 
@@ -562,50 +606,63 @@ def fitted_law(
 
 
 def assemble(
-    pieces: Sequence[Piece], faults: Sequence[Candidate], nuisance: np.ndarray, n_more: int
-) -> System:
+    pieces: Sequence[Piece],
+    faults: Sequence[Candidate],
+    places: Sequence[Candidate],
+    inside: np.ndarray,
+) -> tuple[System, System]:
     """Whiten all contrasts and sum their normal equations.
 
-    ``nuisance`` are the candidates that are in the regression while the noise is estimated,
-    ``n_more`` the number of those that are asked elsewhere.
+    ``inside`` are the candidates that are in the regression while the noise is estimated.
+
+    Returns
+    -------
+    whole, wide : System
+        Of ``faults``; and of those inside, with ``places``, which have columns only.
     """
-    n = len(faults)
-    gram, (right, doubt, relative) = np.zeros((n, n)), np.zeros((3, n))
-    levels: dict[int, np.ndarray] = {}
+    every, n = [*faults, *places], len(faults)
+    gram, across = np.zeros((n, n)), np.zeros((inside.size, len(places)))
+    own, right, doubt, relative = np.zeros((4, len(every)))
     for index in sorted({piece.relation for piece in pieces}):
         mine = [piece for piece in pieces if piece.relation == index]
-        noise = Noise(mine, faults, nuisance)
-        shares, variance, law = noise.shares, noise.variance, noise.law
+        noise = Noise(mine, faults, inside)
+        shares, law = noise.shares, noise.law
         part = shares * law.mean(axis=1)
         active = part > RELATIVE * part.sum()
         # Information on variances of normal coefficients: half the squared relative change of
         # each.
-        fisher = np.linalg.pinv(0.5 * (law[active] / variance**2) @ law[active].T)
-        begin = 0
-        for piece in mine:
-            rows = slice(begin, begin + piece.residual.size)
-            begin = rows.stop
-            levels[id(piece)] = level = variance[rows]
-            white = piece.columns / np.sqrt(level)[:, None]
-            own = white.T @ white
-            gram[np.ix_(piece.used, piece.used)] += own
-            right[piece.used] += white.T @ (piece.residual / np.sqrt(level))
+        fisher = np.linalg.pinv(0.5 * (law[active] / noise.variance**2) @ law[active].T)
+        edges = np.cumsum([piece.residual.size for piece in mine])[:-1]
+        levels, laws_of = np.split(noise.variance, edges), np.split(law, edges, axis=1)
+        for piece, level, here in zip(mine, levels, laws_of, strict=True):
+            used, white = piece.used, piece.columns / np.sqrt(level)[:, None]
+            power, plain = np.sum(white**2, axis=0), used < n
+            gram[np.ix_(used[plain], used[plain])] += white[:, plain].T @ white[:, plain]
+            beside = piece.columns_of(inside) / np.sqrt(level)[:, None]
+            across[:, used[~plain] - n] += beside.T @ white[:, ~plain]
+            own[used] += power
+            right[used] += white.T @ (piece.residual / np.sqrt(level))
             # Relative error of the information of each candidate, by the errors of the shares.
-            slope = -(law[active][:, rows] / level) @ white**2
-            relative[piece.used] += np.einsum("ck,cd,dk->k", slope, fisher, slope)
-            walk = (shares[len(CORRELATIONS) :] @ law[len(CORRELATIONS) :, rows]) / level
-            half = 0.5 * _attenuation(piece, faults, float(walk.sum()), own.diagonal())
-            right[piece.used] -= half
-            doubt[piece.used] += np.abs(half)
+            slope = -(here[active] / level) @ white**2
+            relative[used] += np.sum(slope * (fisher @ slope), axis=0)
+            walk = (shares[len(CORRELATIONS) :] @ here[len(CORRELATIONS) :]) / level
+            half = 0.5 * _attenuation(piece, every, float(walk.sum()), power)
+            right[used] -= half
+            doubt[used] += np.abs(half)
     with np.errstate(divide="ignore", invalid="ignore"):
-        freedom = 2.0 * gram.diagonal() ** 2 / relative
+        freedom = 2.0 * own**2 / relative
     freedom = np.clip(np.nan_to_num(freedom, nan=3.0, posinf=1e6), 3.0, 1e6)
     # Noise levels are estimates themselves: Student's distribution, shared among all that is
     # asked.
-    limits = stdtrit(freedom, 1.0 - 0.5 * FALSE_CLAIMS / (n + n_more)) ** 2
+    limits = stdtrit(freedom, 1.0 - 0.5 * FALSE_CLAIMS / len(every)) ** 2
     # Noise of the rates enters by slopes that vary: at one place it may be that much louder.
-    limits = limits * np.where([f.placed for f in faults], VARYING, 1.0)
-    return System(faults, gram, right, limits, doubt, tuple(levels[id(p)] for p in pieces))
+    limits = limits * np.where([f.placed for f in every], VARYING, 1.0)
+    wide = np.append(inside, np.arange(n, len(every)))
+    block = np.hstack([gram[np.ix_(inside, inside)], across])
+    return (
+        System(faults, gram, own[:n], right[:n], limits[:n], doubt[:n]),
+        System([every[k] for k in wide], block, own[wide], right[wide], limits[wide], doubt[wide]),
+    )
 
 
 class Noise:
@@ -675,114 +732,35 @@ def _attenuation(
     the ratio of noise to signal (errors in variables; Fuller 1987): between nothing and what it
     would be if all of the walk came from that signal. Half of it is subtracted.
     """
-    shares = {**piece.shares, piece.target_name: -1.0}
     used = (faults[k] for k in piece.used)
     scaled = [one.signals[0] if one.kind == "scale" else "" for one in used]
-    most = walk * np.array([shares.get(name, 0.0) for name in scaled])
+    most = walk * np.array([piece.shares.get(name, 0.0) for name in scaled])
     return np.clip(most, -0.5 * own, 0.5 * own)
-
-
-def scanned(
-    traces: Sequence[Trace],
-    pieces: Sequence[Piece],
-    system: System,
-    chosen: Sequence[int],
-    local: Sequence[Candidate],
-) -> tuple[list[Candidate], dict[Candidate, float]]:
-    """The likeliest steps, bursts and losses beside what is in, of all signals in all records.
-
-    And the least size that would be seen of what lasts, at the median place of each record.
-    """
-    a = np.array(chosen, dtype=int)
-    inner = np.linalg.pinv(system.gram[np.ix_(a, a)])
-    numbered = [*zip(pieces, system.levels, strict=True)]
-    least, result = VARYING * float(np.min(system.limits)), list[tuple[float, Candidate]]()
-    seen = dict[Candidate, float]()
-    for trace, one in product(traces, local):
-        here = [pair for pair in numbered if pair[0].record == trace.name]
-        gain, told = _gain_at(trace, one, here, a, inner)
-        size = math.sqrt(least / max(float(np.median(told[0])), 1e-300))
-        # Between pieces of a record that is broken there nothing shows at all.
-        lasting = replace(one, record=trace.name, span=(0.5, 1.0))
-        seen[lasting] = size if RELATIVE * size < one.plausible else math.inf
-        for i, kind in enumerate(("step", "burst") if one.kind == "step" else (one.kind,)):
-            own, k = gain[i], int(np.argmax(gain[i]))
-            if own[k] > least:
-                until = PLACED[k] + 1.0 / PLACES if kind == "burst" else 1.0
-                found = replace(one, kind=kind, record=trace.name, span=(PLACED[k], until))
-                result.append((float(own[k]), found))
-    likely = sorted(result, key=lambda pair: -pair[0])
-    return [fault for _, fault in likely[:MOST_FAULTS]], seen
-
-
-def _gain_at(
-    trace: Trace,
-    one: Candidate,
-    numbered: Sequence[tuple[Piece, np.ndarray]],
-    chosen: np.ndarray,
-    inner: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Statistics and information of a lasting and of a passing fault, ``(2, n_places)`` each.
-
-    ``numbered`` are the pieces of the record with their variances, ``inner`` is the covariance of
-    what is ``chosen``, which is projected out.
-    """
-    name, n = one.signals[0], PLACED.size
-    score, power, across = np.zeros((2, n)), np.zeros((2, n)), np.zeros((2, n, chosen.size))
-    at = trace.times[0] + PLACED * (trace.times[-1] - trace.times[0])
-    for piece, level in numbered:
-        ramp = piece.ramps.get((one.kind, name))
-        level_of = 1.0 * (one.kind == "step" and piece.target_name == name)
-        if ramp is None and not level_of:
-            continue
-        row = np.searchsorted(piece.times, at)
-        ended = row + max(1, round(piece.times.size / PLACES))
-        lasting, later = (_from(piece, level_of, ramp, k) for k in (row, ended))
-        beside = piece.columns_of(chosen)
-        for i, shape in enumerate((lasting, lasting - later)):
-            waves = dct(shape, axis=0, norm="ortho")[1:]
-            score[i] += (piece.residual / level) @ waves
-            power[i] += np.sum(waves**2 / level[:, None], axis=0)
-            across[i] += (waves / level[:, None]).T @ beside
-    left = power - np.einsum("kpi,ij,kpj->kp", across, inner, across)
-    told = (left > 1e-4 * power) & (power > 0.0)
-    left = np.where(told, left, 0.0)
-    return np.where(told, score**2 / np.where(told, left, 1.0), 0.0), left
-
-
-def _from(piece: Piece, level: float, ramp: np.ndarray | None, rows: np.ndarray) -> np.ndarray:
-    """What a unit of a signal from some blocks on adds to a contrast, ``(n_blocks, n_rows)``."""
-    n = piece.times.size
-    after = np.arange(n)[:, None] >= rows
-    shape = np.full((n, rows.size), level)
-    if ramp is not None:
-        begin = ramp[np.minimum(rows, n - 1)] if piece.is_rate else 0.0
-        shape = shape + ramp[:, None] - begin
-    return np.where(after, shape, 0.0)
 
 
 @dataclass(frozen=True)
 class System:
     """Normal equations of all candidates, whitened: what each gains beside others.
 
-    ``gram`` is ``(n, n)``, ``right`` ``(n,)``, ``limits`` what each needs, ``doubt`` the half-width
-    of what noise in a regressor may have added to ``right``; ``levels`` are the variances in each
-    piece.
+    ``gram`` is ``(n_rows, n)``, without rows of what begins anywhere (the last of the candidates,
+    which are chosen once they are picked for the next linearisation), ``own`` its diagonal
+    ``(n,)``, ``right`` ``(n,)``, ``limits`` what each needs, ``doubt`` the half-width of what noise
+    in a regressor may have added to ``right``.
     """
 
     faults: Sequence[Candidate]
     gram: np.ndarray
+    own: np.ndarray
     right: np.ndarray
     limits: np.ndarray
     doubt: np.ndarray
-    levels: tuple[np.ndarray, ...]
 
     @classmethod
     def plain(cls, faults: Sequence[Candidate], gram: np.ndarray, right: np.ndarray) -> System:
         """Equations whose noise is known: limits are those of a normal score."""
         n = len(faults)
         limits = np.full(n, stdtrit(1e6, 1.0 - 0.5 * FALSE_CLAIMS / n) ** 2)
-        return cls(faults, gram, right, limits, np.zeros(n), ())
+        return cls(faults, gram, gram.diagonal(), right, limits, np.zeros(n))
 
     def found(self, chosen: Sequence[int] | None = None) -> tuple[Found, ...]:
         """Accepted faults with errors, statistics and rivals, the strongest first."""
@@ -792,10 +770,11 @@ class System:
         for i, k in enumerate(chosen):
             gain, other, error = self.beside([j for j in chosen if j != k])
             near = self.able(chosen, other, error) & (gain > own[i] - CLOSE)
-            told: dict[tuple[object, ...], tuple[Candidate, float]] = {}
+            told: dict[tuple[object, ...], Found] = {}
             for j in sorted(np.flatnonzero(near).tolist(), key=lambda j: -gain[j]):
                 f = self.faults[j]
-                told.setdefault((f.kind, f.signals, f.other, f.record), (f, float(other[j])))
+                rival = Found(f, float(other[j]), float(error[j]), float(gain[j]))
+                told.setdefault((f.kind, f.signals, f.other, f.record), rival)
             mine = self.faults[k]
             told.pop((mine.kind, mine.signals, mine.other, mine.record), None)
             rivals = tuple(told.values())[:MOST_FAULTS]
@@ -808,9 +787,10 @@ class System:
             return self
         across = self._inverse(range(n)) @ self.gram[:n]
         gram = self.gram - self.gram[:, :n] @ across
+        own = self.own - np.sum(self.gram[:n] * across, axis=0)
         right = self.right - across.T @ self.right[:n]
-        gram[:n], gram[:, :n], right[:n] = 0.0, 0.0, 0.0
-        return replace(self, gram=gram, right=right)
+        gram[:n], gram[:, :n], own[:n], right[:n] = 0.0, 0.0, 0.0, 0.0
+        return replace(self, gram=gram, own=own, right=right)
 
     def strained(self, now: Sequence[int]) -> bool:
         """Whether a fault that matters is so far beyond its limit that linear scores mislead."""
@@ -820,7 +800,13 @@ class System:
 
     def of(self, what: str) -> np.ndarray:
         """A number of every candidate."""
-        return np.array([getattr(fault, what) for fault in self.faults])
+        return self._numbers[what]
+
+    @cached_property
+    def _numbers(self) -> dict[str, np.ndarray]:
+        """Numbers of all candidates, ``(n,)`` each."""
+        names = ("plausible", "material", "rare", "positive")
+        return {name: np.array([getattr(one, name) for one in self.faults]) for name in names}
 
     def _inverse(self, chosen: Sequence[int]) -> np.ndarray:
         """Covariance of the sizes of some; a usual size is what is known of each before."""
@@ -829,9 +815,9 @@ class System:
 
     def beside(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Statistic, size and standard deviation of every candidate beside some, ``(n,)`` each."""
-        gram, a, own = self.gram, list(chosen), self.gram.diagonal()
-        across = self._inverse(a) @ gram[a]
-        left = own - np.einsum("ij,ij->j", gram[a], across)
+        a, own = list(chosen), self.own
+        across = self._inverse(a) @ self.gram[a]
+        left = own - np.einsum("ij,ij->j", self.gram[a], across)
         score = self.right - across.T @ self.right[a]
         told = (left > RELATIVE * own) & (own > 0.0)
         left = np.where(told, left + self.of("plausible") ** -2.0, np.inf)
@@ -874,6 +860,22 @@ class System:
         least = np.sqrt(self.limits) * np.where(error > 0.0, error, np.inf)
         return [*zip(self.faults, least.tolist(), strict=True)]
 
+    def anywhere(self, chosen: Sequence[int]) -> list[tuple[Candidate, float]]:
+        """What may begin at any place, with the size that would be seen at the median of them."""
+        placed, step = self.visible(chosen)[len(self.gram) :], PLACED.size
+        groups = (placed[k : k + step] for k in range(0, len(placed), step))
+        return [(one[step // 2][0], float(np.median([size for _, size in one]))) for one in groups]
+
+    def picked(self, chosen: Sequence[int]) -> list[Candidate]:
+        """The likeliest places of what may begin anywhere, beside some; of each signal one."""
+        gain, best = self.beside(chosen)[0], dict[tuple[str, tuple[str, ...], str], Candidate]()
+        beyond = np.flatnonzero(gain > self.limits)
+        for k in beyond[np.argsort(-gain[beyond])]:
+            one = self.faults[k]
+            if k >= len(self.gram):
+                best.setdefault((one.kind, one.signals, one.record), one)
+        return [*best.values()][:MOST_FAULTS]
+
     def price(self, chosen: Sequence[int]) -> np.ndarray:
         """What each has to gain beside a set that gains so much."""
         a = list(chosen)
@@ -881,7 +883,7 @@ class System:
 
     def chosen(self, start: Sequence[int]) -> list[int]:
         """Forward selection with exchange and drop."""
-        now = [k for k in start if self.gram[k, k] > 0.0]
+        now = [k for k in start if self.own[k] > 0.0]
         seen: set[frozenset[int]] = set()
         while frozenset(now) not in seen:
             seen.add(frozenset(now))
@@ -922,13 +924,16 @@ class System:
 
 @dataclass(frozen=True)
 class Found:
-    """A fault that was accepted, its size, error, statistic, and what it cannot be told from."""
+    """A fault, its size, error, statistic, and what it cannot be told from.
+
+    Another reading of the numbers has no error; its size is the value that undoes it.
+    """
 
     candidate: Candidate
-    size: float
-    std: float
-    gain: float
-    rivals: tuple[tuple[Candidate, float], ...]
+    size: float = 1.0
+    std: float = 0.0
+    gain: float = 0.0
+    rivals: tuple[Found, ...] = ()
 
     @property
     def correction(self) -> Correction:
@@ -944,25 +949,6 @@ class Misfit:
     record: str
     share: float
     time: float
-
-
-@dataclass(frozen=True)
-class Reading:
-    """Another reading of the same numbers, its meaning, statistic and rivals."""
-
-    correction: Correction
-    meaning: str = ""
-    gain: float = 0.0
-    rivals: tuple[Reading, ...] = ()
-
-    @property
-    def delays(self) -> bool:
-        """Whether it is a large delay, which competes with readings and has a size."""
-        return self.correction.kind in ("delay", "lag")
-
-    def near(self, best: Reading) -> bool:
-        """Whether these records cannot tell it from the best reading."""
-        return not self.delays and self.gain > best.gain - CLOSE
 
 
 @dataclass(frozen=True)
@@ -982,56 +968,68 @@ def search(
     traces: Sequence[Trace],
     question: Question,
     *,
-    start: Sequence[Correction] = (),
-    single: bool = True,
-    known: Sequence[Correction] = (),
+    start: Sequence[Found] = (),
     only_linear: bool = False,
 ) -> Result:
-    """Find faults with a size; ``start`` are delays, ``known`` steps to begin from.
+    """Find faults with a size; ``start`` are those of all records to begin from.
 
     With ``only_linear`` none is sought where the scores mislead, because readings come first there.
     """
     relations, n_given = question.relations, len(question.given)
-    faults = [*question.given, *question.common, *question.single * single]
-    local = question.local if single else ()
-    n_common, n_more = n_given + len(question.common), 2 * PLACES * len(local) * len(traces)
-    active = _begun(question, start, known)
+    faults = [*question.given, *question.common, *question.single]
+    places = [*_places(traces, question.local)]
+    n_common = n_given + len(question.common)
+    active = _begun(question, start)
     shift, strained, picked = 0.5 / PLACES, False, list[Candidate]()
     for turn in range(SWEEPS):
         near = [*_beside(active, shift)]
         faults = list(dict.fromkeys([*faults, *active, *near, *picked]))
-        undone, pieces = _linearised(traces, relations, faults, active, local)
+        pieces = _linearised(traces, relations, faults, active, places)
         if not pieces:
             return Result((), [*dict.fromkeys(faults, np.inf).items()])
         now = [faults.index(fault) for fault in active]
         inside = np.union1d(np.arange(n_common), now).astype(int)
-        system = assemble(pieces, faults, inside, n_more).given(n_given)
-        bench = replace(system, right=system.right + system.gram[:, now] @ [*active.values()])
+        system, wide = (one.given(n_given) for one in assemble(pieces, faults, places, inside))
+        bench = replace(system, right=system.right + [*active.values()] @ system.gram[now])
         strained = strained if turn else bench.strained(now)
         if strained and only_linear:
             return Result((), bench.visible(now), strained)
-        found, seen = scanned(undone, pieces, system, now, local)
-        picked = [fault for fault in found if fault not in faults]
+        there = np.searchsorted(inside, now).tolist()
+        picked = [fault for fault in wide.picked(there) if fault not in faults]
         chosen = bench.chosen(now)
         before, active = active, bench.sized(chosen)
         if not picked and (shift < 1e-3 or not near) and bench.settled(before, chosen):
             break
         shift *= 0.5 if near else 1.0
-    return Result(bench.found(chosen), [*bench.visible(chosen), *seen.items()], strained)
+    seen = [*bench.visible(chosen), *wide.anywhere(there)]
+    return Result(bench.found(chosen), seen, strained)
 
 
-def _begun(
-    question: Question, start: Sequence[Correction], known: Sequence[Correction]
-) -> dict[Candidate, float]:
+def _places(traces: Sequence[Trace], local: Sequence[Candidate]) -> Iterator[Candidate]:
+    """What may begin anywhere, at every place of every record; steps may also pass."""
+    for trace, one in product(traces, local):
+        for kind in ("step", "burst") if one.kind == "step" else (one.kind,):
+            here = replace(one, kind=kind, record=trace.name)
+            for begin in PLACED.tolist():
+                end = begin + 1.0 / PLACES if kind == "burst" else 1.0
+                yield replace(here, span=(begin, end))
+
+
+def _begun(question: Question, start: Sequence[Found]) -> dict[Candidate, float]:
     """Faults that a search begins with, and their sizes."""
-    keys = {(f.kind, f.signals, f.other): f for f in question.common}
-    begun = {keys.get((one.kind, one.signals, one.other)): one.value for one in start}
-    steps = {one.signals[0]: one for one in question.local if one.kind == "step"}
-    for one in known:
-        if (step := steps.get(one.signals[0])) is not None:
-            here = replace(step, material=0.0, record=one.record, span=(one.span[0], 1.0))
-            begun[here] = one.value
-    return {fault: value for fault, value in begun.items() if fault is not None}
+    begun = {one.candidate: one.size for one in start}
+    steps = {one.signals: one for one in question.local if one.kind == "step"}
+    for one in question.known:
+        here = replace(steps[one.signals], material=0.0, record=one.record, span=one.span)
+        begun[here] = one.value
+    return begun
+
+
+def mended(
+    traces: Iterable[Trace], found: Sequence[Found], relations: tuple[Relation, ...]
+) -> list[Trace]:
+    """Traces without what was found."""
+    return [undo(trace, [one.correction for one in found], relations) for trace in traces]
 
 
 def _linearised(
@@ -1039,66 +1037,67 @@ def _linearised(
     relations: tuple[Relation, ...],
     faults: Sequence[Candidate],
     active: Mapping[Candidate, float],
-    local: Sequence[Candidate],
-) -> tuple[list[Trace], list[Piece]]:
-    """Records with the active faults undone, and their contrasts."""
-    undone = [undo(t, [f.correction(s) for f, s in active.items()], relations) for t in traces]
-    scales = ((f, s) for f, s in active.items() if f.kind == "scale" and not f.record)
-    factors = {f.signals[0]: 1.0 + s for f, s in scales}
-    return undone, [p for t in undone for p in contrasts(t, relations, faults, factors, local)]
+    places: Sequence[Candidate],
+) -> list[Piece]:
+    """Contrasts of records with the active faults undone."""
+    found = [Found(*one) for one in active.items()]
+    scales = (f for f in active if f.kind == "scale" and not f.record)
+    factors = {f.signals[0]: 1.0 + active[f] for f in scales}
+    undone = mended(traces, found, relations)
+    return [p for t in undone for p in contrasts(t, relations, faults, factors, places)]
 
 
 def _beside(active: Iterable[Candidate], shift: float) -> Iterator[Candidate]:
-    """What begins at some place a little earlier and later, where that is not known."""
+    """What begins, or ends, a little earlier and later, where that is not known."""
     for one in active:
         if one.placed and one.material > 0.0:
+            begin, end = one.span
             for by in (-shift, shift):
-                begin, end = one.span
-                yield replace(one, span=(begin + by, end + by * (one.kind == "burst")))
+                yield replace(one, span=(begin + by, end))
+                if one.kind == "burst":
+                    yield replace(one, span=(begin, end + by))
 
 
-def readings(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Iterator[Reading]:
+def readings(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Iterator[Found]:
     """Signs, units, columns, axes and quarters of a heading that these signals may have wrong."""
     units, names = units_of(traces), names_of(relations)
     angles = [r.names for r in relations if r.is_rate and units[r.target] == "rad"]
     groups = [*((n,) for n in names), *(pair for pair in angles if len(pair) == 2)]
     yield from plain_readings(groups, units)
-    yield from (Reading(Correction("swap", pair)) for pair in combinations(names, 2))
+    yield from (Found(Candidate("swap", pair)) for pair in combinations(names, 2))
     yield from _axes(traces, relations, units)
 
 
 def _axes(
     traces: Sequence[Trace], relations: tuple[Relation, ...], units: dict[str, str]
-) -> Iterator[Reading]:
+) -> Iterator[Found]:
     """Velocities along the axes of the positions, and headings that count from elsewhere."""
     velocities, positions = velocities_of(relations, units), _displacements(relations, units)
     level = (level_axis(r, units, velocities) for r in positions)
     if any(level) and all(trace.values.keys() >= {*velocities} for trace in traces):
-        yield Reading(Correction("frame", velocities))
+        yield Found(Candidate("frame", velocities))
     if len(positions) > 1:
         shared = set.intersection(*(set(r.signals) for r in positions))
         for angle, quarter in product(sorted(n for n in shared if units[n] == "rad"), (1, 2, 3)):
-            turn = Correction("offset", (angle,), quarter * math.pi / 2.0)
-            yield Reading(turn, f"{90 * quarter} deg")
+            turn = Candidate("offset", (angle,), meaning=f"{90 * quarter} deg")
+            yield Found(turn, quarter * math.pi / 2.0)
 
 
-def turned_axes(names: Iterable[str], units: Mapping[str, str]) -> Iterator[Reading]:
+def turned_axes(names: Iterable[str], units: Mapping[str, str]) -> Iterator[Found]:
     """Pairs of signals of one kind whose axes are turned by quarters of a turn in their plane."""
     for pair, quarter in product(combinations(names, 2), (1, 2, 3)):
         if units[pair[0]] == units[pair[1]] in ("m", "m/s", "rad/s"):
-            turn = Correction("misalignment", pair, quarter * math.pi / 2.0)
-            yield Reading(turn, f"{90 * quarter} deg")
+            turn = Candidate("misalignment", pair, meaning=f"{90 * quarter} deg")
+            yield Found(turn, quarter * math.pi / 2.0)
 
 
-def plain_readings(
-    groups: Iterable[tuple[str, ...]], units: Mapping[str, str]
-) -> Iterator[Reading]:
+def plain_readings(groups: Iterable[tuple[str, ...]], units: Mapping[str, str]) -> Iterator[Found]:
     """The other sign and the other units of signals, alone or in groups of one quantity."""
     for group in groups:
-        yield Reading(Correction("sign", group, -1.0))
+        yield Found(Candidate("sign", group), -1.0)
         if len({units[n].partition("/")[0] for n in group}) == 1:
             for factor, meaning in READINGS.get(units[group[0]], ()):
-                yield Reading(Correction("unit", group, factor), meaning)
+                yield Found(Candidate("unit", group, meaning=meaning), factor)
 
 
 def _as_blocks_show(trace: Trace) -> Trace:

@@ -45,8 +45,8 @@ from oed_sysid.evidence.contrasts import (
     RARER,
     UNEXPLAINED,
     Candidate,
+    Found,
     Question,
-    Reading,
     System,
     contrasts,
     hann,
@@ -77,17 +77,6 @@ class Nominal(Relation):
     """How a state changes by the nominal model: from states, inputs and parameters."""
 
     run: Kernel = field(kw_only=True)
-
-    @property
-    def asked(self) -> tuple[str, ...]:
-        """Inputs and parameters, whose errors are asked."""
-        model = self.run.model
-        return (*model.input_names, *model.free_names)
-
-    @property
-    def driven(self) -> tuple[str, ...]:
-        """Inputs, whose actuators may fail."""
-        return self.run.model.input_names
 
     def __call__(self, values: Mapping[str, np.ndarray], times: np.ndarray) -> np.ndarray:
         """Mean rate of the state from every sample to the next, ``(n_times,)``; the last is 0."""
@@ -311,9 +300,9 @@ def _question(traces: Sequence[Trace], model: Model) -> Question:
     moving = {one.name: one.unit for one in model.inputs if _moves(traces, one.name)}
     late = max(0.7, 3.0 * traces[0].step)
     common, local, single = list[Candidate](), list[Candidate](), list[Candidate]()
-    for name, unit in moving.items():
+    for name in moving:
         lost = Candidate("lost", (name,), "1", 1.0, 0.5, rare=RARER)
-        common.append(replace(lost, material=RELATIVE, rare=0.0, unit_of=unit))
+        common.append(replace(lost, material=RELATIVE, rare=0.0))
         common.append(Candidate("delay", (name,), "s", late, traces[0].step))
         common.append(Candidate("lag", (name,), "s", late, traces[0].step, positive=True))
         single += [replace(lost, record=t.name) for t in traces]
@@ -332,10 +321,12 @@ def _nominal(model: Model) -> tuple[Nominal, ...]:
     own = set(model.axes.values()) or {
         state for state, text in model.kinematics.items() if names_in(text) & free
     }
-    every = (*map(smooth, model.state_names), *model.input_names, *model.free_names)
-    targets = (state for state in model.state_names if state in own)
+    inputs, asked = model.input_names, (*model.input_names, *model.free_names)
+    every = (*map(smooth, model.state_names), *asked)
     return tuple(
-        Nominal(target, every, "the nominal model", True, (), {}, run=run) for target in targets
+        Nominal(target, every, "the nominal model", True, (), {}, asked, inputs, run=run)
+        for target in model.state_names
+        if target in own
     )
 
 
@@ -364,12 +355,12 @@ def _believed(p: Parameter) -> float:
     return max(p.prior_std, LEAST_PRIOR * abs(p.prior_mean or p.value))
 
 
-def _readings(moving: Mapping[str, str]) -> Iterator[Reading]:
+def _readings(moving: Mapping[str, str]) -> Iterator[Found]:
     """Signs and units of each input that moves, and pairs that may be swapped."""
     yield from plain_readings(((name,) for name in moving), moving)
     for pair in combinations(moving, 2):
         if moving[pair[0]] == moving[pair[1]]:
-            yield Reading(Correction("swap", pair))
+            yield Found(Candidate("swap", pair))
 
 
 def scaled_inputs(fit: Fit) -> tuple[Finding, ...]:

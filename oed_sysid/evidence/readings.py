@@ -15,8 +15,9 @@ with a size are those of :mod:`~oed_sysid.evidence.contrasts`.
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -25,51 +26,44 @@ from oed_sysid.evidence.chance import FALSE_CLAIMS
 from oed_sysid.evidence.contrasts import (
     CLOSE,
     MOST_BLOCKS,
+    Candidate,
     Found,
     Noise,
     Question,
-    Reading,
     Result,
     contrasts,
+    mended,
     search,
 )
 from oed_sysid.evidence.corrections import undo
-from oed_sysid.evidence.relations import READINGS
+from oed_sysid.evidence.relations import READINGS, Relation
 from oed_sysid.evidence.result import Correction
-from oed_sysid.evidence.traces import RELATIVE, Trace
+from oed_sysid.evidence.traces import RELATIVE, Trace, units_of
 
 
-def diagnosed(
-    traces: Sequence[Trace],
-    question: Question,
-    known: Sequence[Correction] = (),
-) -> tuple[list[Reading], Result]:
+def diagnosed(traces: Sequence[Trace], question: Question) -> tuple[list[Found], Result]:
     """Faults that the equations show: readings first where nothing else is near, then sizes."""
-    plain = search(traces, question, known=known, only_linear=True)
+    plain = search(traces, question, only_linear=True)
     if not plain.strained and not _nearer(traces, question):
         return [], plain
-
-    def mended(found: Sequence[Reading]) -> list[Trace]:
-        return [undo(t, [r.correction for r in found], question.relations) for t in traces]
-
-    found, start = misread([undo(t, known, question.relations) for t in traces], question)
-    right = mended(found)
-    ends = [search(right, question, known=known) if found or plain.strained else plain]
-    ends += [search(right, question, start=start, known=known)] if start else []
+    found, start = misread(traces, question)
+    right = mended(traces, found, question.relations)
+    ends = [search(right, question) if found or plain.strained else plain]
+    ends += [search(right, question, start=start)] if start else []
     best = max(ends, key=lambda end: _worth(end, right, question))
-    if named := [reading for one in best.found for reading in _as_units(one)]:
+    if named := [reading for one in best.found for reading in _as_units(one, units_of(traces))]:
         found = [*found, *named]
-        best = search(mended(found), question, known=known)
+        best = search(mended(traces, found, question.relations), question)
     return found, best
 
 
 def _worth(end: Result, traces: Sequence[Trace], question: Question) -> float:
     """Information of the equations with the faults of a search undone, less the price of these."""
-    left = [undo(t, [one.correction for one in end.found], question.relations) for t in traces]
-    return float(Evidence(question)(left).sum()) - CLOSE * len(end.found)
+    left = mended(traces, end.found, question.relations)
+    return float(Evidence(question, left).told.sum()) - CLOSE * len(end.found)
 
 
-def _as_units(one: Found) -> list[Reading]:
+def _as_units(one: Found, units: Mapping[str, str]) -> list[Found]:
     """A scale that is that of a sign or a unit within its error, as another reading."""
     fault, names = one.candidate, one.candidate.signals
     if fault.kind not in ("scale", "lost") or fault.record or fault.placed:
@@ -77,98 +71,93 @@ def _as_units(one: Found) -> list[Reading]:
     lost = fault.kind == "lost"
     by = 1.0 - one.size if lost else 1.0 / (1.0 + one.size)
     error = one.std if lost else one.std * by**2
-    factors = [*READINGS.get(fault.unit_of, ()), *[(-1.0, "")] * lost]
+    factors = [*READINGS.get(units[names[0]], ()), *[(-1.0, "")] * lost]
     near = [
-        Reading(Correction("unit" if factor > 0.0 else "sign", names, factor), meaning, one.gain)
+        Found(Candidate("unit" if factor > 0.0 else "sign", names, meaning=meaning), factor)
         for factor, meaning in factors
         if abs(by - factor) < max(RELATIVE * abs(by), 3.0 * error)
     ]
-    return near[:1]
+    return [replace(reading, gain=one.gain) for reading in near[:1]]
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Information that each equation gives about its left side.
-
-    A reading changes some signals only: an equation whose signals are as they were before tells
-    what it told then, and is not asked again.
-    """
+    """Information that equations give about their left sides in some records."""
 
     question: Question
-    told: dict[tuple[int, Hashable], float] = field(default_factory=dict)
+    traces: Sequence[Trace]
 
-    def __call__(self, traces: Sequence[Trace]) -> np.ndarray:
-        """Information in some records, ``(n_relations,)``."""
-        relations = enumerate(self.question.relations)
-        keys = [(i, tuple(_numbers(trace, r.names) for trace in traces)) for i, r in relations]
-        self._ask(traces, [key for key in keys if key not in self.told])
-        return np.array([self.told[key] for key in keys])
+    @cached_property
+    def told(self) -> np.ndarray:
+        """Information of each equation, ``(n_relations,)``."""
+        return self._told(self.traces, self.question.relations)
 
-    def gained(self, traces: Sequence[Trace], corrections: Sequence[Correction]) -> float:
-        """What all equations tell more with some faults undone."""
-        undone = [undo(trace, corrections, self.question.relations) for trace in traces]
-        return float(np.sum(self(undone) - self(traces)))
+    def gained(self, corrections: Sequence[Correction]) -> float:
+        """What all equations tell more with some faults undone; only those with the signals do."""
+        relations, changed = self.question.relations, {n for c in corrections for n in c.signals}
+        asked = [k for k, r in enumerate(relations) if changed & {*r.names}]
+        undone = [undo(trace, corrections, relations) for trace in self.traces]
+        after = self._told(undone, tuple(relations[k] for k in asked))
+        return float(np.sum(after - self.told[asked]))
 
-    def ranked(self, traces: Sequence[Trace], readings: Iterable[Reading]) -> list[Reading]:
+    def ranked(self, readings: Iterable[Found]) -> list[Found]:
         """Readings with what each gains, the most first."""
-        told = (replace(one, gain=self.gained(traces, [one.correction])) for one in readings)
+        told = (replace(one, gain=self.gained([one.correction])) for one in readings)
         return sorted(told, key=lambda one: -one.gain)
 
-    def _ask(self, traces: Sequence[Trace], fresh: Sequence[tuple[int, Hashable]]) -> None:
-        asked, given = tuple(self.question.relations[key[0]] for key in fresh), self.question.given
+    def _told(self, traces: Sequence[Trace], asked: tuple[Relation, ...]) -> np.ndarray:
+        given, result = self.question.given, np.zeros(len(asked))
         pieces = [p for t in traces for p in contrasts(t, asked, given)] if asked else []
-        for k, key in enumerate(fresh):
+        for k in {piece.relation for piece in pieces}:
             mine = [piece for piece in pieces if piece.relation == k]
-            self.told[key] = Noise(mine, given, np.arange(len(given))).told if mine else 0.0
+            result[k] = Noise(mine, given, np.arange(len(given))).told
+        return result
 
 
-def _numbers(trace: Trace, names: Iterable[str]) -> tuple[Hashable, ...]:
-    """What an equation reads of some signals, as a key."""
-    here = [n for n in names if n in trace.values]
-    return (
-        *here,
-        *(hash(trace.values[n].tobytes()) for n in here),
-        *(trace.noise[n] for n in here),
-    )
-
-
-def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Reading], list[Correction]]:
+def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Found], list[Found]]:
     """Other readings that the equations ask for, and delays to begin from.
 
     A reading is accepted if it tells more than every fault with a size does together.
 
     Returns
     -------
-    found : list of Reading
+    found : list of Found
         At most three, in the order of their statistics.
-    start : list of Correction
-        Large delays that compete with readings: their sizes are for :func:`search` to find.
+    start : list of Found
+        A large delay, which competes with readings: its size is for :func:`search` to find.
     """
-    relations, late = question.relations, [*_late(question)]
-    coarse, evidence = _coarse(traces, question), Evidence(question)
-    found: list[Reading] = []
+    late, level = [*_late(question)], [undo(trace, question.known) for trace in traces]
+    shared, coarse = replace(question, single=(), local=(), known=()), _coarse(level, question)
+    found = list[Found]()
     for _ in range(3 if question.readings else 0):
-        best, *others = evidence.ranked(coarse, (*question.readings, *late))
+        evidence = Evidence(question, coarse)
+        best, *others = evidence.ranked((*question.readings, *late))
         # What chance exceeds rarely, however many readings are tried.
         limit = 2.0 * math.log((1 + len(others)) / FALSE_CLAIMS)
         if best.gain <= limit:
             break
-        if best.delays:
-            return found, [best.correction]
-        sized = [one.correction for one in search(coarse, question, single=False).found]
-        if best.gain < limit + max(0.0, evidence.gained(coarse, sized)):
+        if best.candidate in question.common:
+            return found, [best]
+        sized = [one.correction for one in search(coarse, shared).found]
+        if best.gain < limit + max(0.0, evidence.gained(sized)):
             break
-        found.append(replace(best, rivals=tuple(one for one in others if one.near(best))))
-        coarse = [undo(t, (best.correction,), relations) for t in coarse]
+        near = (one for one in others if one.gain > best.gain - CLOSE)
+        rivals = tuple(one for one in near if one.candidate not in question.common)
+        found.append(replace(best, rivals=rivals))
+        coarse = mended(coarse, [best], question.relations)
     return found, []
 
 
 def _coarse(traces: Sequence[Trace], question: Question) -> list[Trace]:
     """Traces with fewer samples, unless motion is too fast for these."""
-    coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
-    evidence = Evidence(question)
-    lost, told = evidence(coarse) == 0.0, evidence(traces) != 0.0
-    return list(traces) if np.any(lost & told) else coarse
+    coarse = thinned(traces)
+    lost, told = (Evidence(question, some).told == 0.0 for some in (coarse, traces))
+    return list(traces) if np.any(lost & ~told) else coarse
+
+
+def thinned(traces: Sequence[Trace]) -> list[Trace]:
+    """Traces with samples enough for the blocks of contrasts."""
+    return [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
 
 
 def _nearer(traces: Sequence[Trace], question: Question) -> bool:
@@ -178,16 +167,15 @@ def _nearer(traces: Sequence[Trace], question: Question) -> bool:
     """
     if not question.given:
         return False
-    evidence = Evidence(replace(question, given=()))
-    coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
-    return any(evidence.gained(coarse, [one.correction]) > 0.0 for one in question.readings)
+    evidence = Evidence(replace(question, given=()), thinned(traces))
+    return any(evidence.gained([one.correction]) > 0.0 for one in question.readings)
 
 
-def _late(question: Question) -> Iterator[Reading]:
+def _late(question: Question) -> Iterator[Found]:
     """Large delays, as rivals of readings: the linearised score does not reach so far."""
     late = (f for f in question.common if f.kind in ("delay", "lag"))
     for fault, k in product(late, range(-1, 3)):
         delay = fault.plausible * 2.0**k
         if delay > 2.0 * fault.material:
             for size in (delay, -delay)[: 1 if fault.positive else 2]:
-                yield Reading(Correction(fault.kind, fault.signals, size))
+                yield Found(fault, size)

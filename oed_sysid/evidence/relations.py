@@ -65,6 +65,10 @@ class Relation:
         Definitions to evaluate in order; the last one is the right side.
     constants : mapping
         Known constants in them.
+    asked : tuple of str
+        Signals of the right side whose errors are asked; all if not given.
+    driven : tuple of str
+        Those that may lose their effect: none of kinematics.
     """
 
     target: str
@@ -73,21 +77,13 @@ class Relation:
     is_rate: bool
     steps: tuple[tuple[str, str], ...] = field(repr=False)
     constants: Mapping[str, float] = field(repr=False)
+    asked: tuple[str, ...] = ()
+    driven: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
         """All signals, the left side first."""
         return (self.target, *self.signals)
-
-    @property
-    def asked(self) -> tuple[str, ...]:
-        """Signals of the right side whose errors are asked."""
-        return self.signals
-
-    @property
-    def driven(self) -> tuple[str, ...]:
-        """Signals of the right side that may lose their effect: none of kinematics."""
-        return ()
 
     def integral(self, times: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Cumulative integral of rates of :meth:`__call__`, ``(n_times, k)``; first row zero."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset, overlap
 from oed_sysid.data.record import GAP
-from oed_sysid.evidence.contrasts import LARGEST, LOUDER, Candidate, Found, Misfit, Reading, Result
+from oed_sysid.evidence.contrasts import LARGEST, LOUDER, Candidate, Found, Misfit, Result
 from oed_sysid.evidence.relations import Relation
 from oed_sysid.evidence.result import (
     KINDS,
@@ -66,30 +66,22 @@ def _of(signals: Sequence[str]) -> dict[str, str]:
         return {}
     *most, last = signals
     both = f"{', '.join(most)} and {last}" if most else last
-    return {"commas": ", ".join(signals), "both": both, "first": signals[0], "last": last}
+    verbs = {"have": "have", "are": "are", "come": "come"}
+    one = {"have": "has", "are": "is", "come": "comes"}
+    names = {"commas": ", ".join(signals), "both": both, "first": signals[0], "last": last}
+    return names | (verbs if most else one)
 
 
-def _rival(row: str, signals: tuple[str, ...], **words: str) -> str:
+def rival(one: Found) -> str:
     """Another explanation in a few words."""
+    fault, row = one.candidate, one.candidate.kind
+    if fault.meaning:
+        row = "twice" if "twice" in fault.meaning else {"misalignment": "turned"}.get(row, row)
     text = KINDS.get(row, {}).get("rival", f"{row} of {{both}}")
-    return str(text.format(**_of(signals), **words))
-
-
-# -- other readings --------------------------------------------------------------------------
-
-
-def say_reading(one: Reading) -> str:
-    """Another reading in a few words, for lists of rivals."""
-    row = "twice" if "twice" in one.meaning else one.correction.kind
-    row = "turned" if row == "misalignment" else row
-    return _rival(row, one.correction.signals, meaning=one.meaning)
-
-
-def _say_sized(one: Candidate, size: float) -> str:
-    """A fault with a size in a few words, for lists of rivals."""
-    where = f" in {one.record}" if one.record else ""
-    shown = _size(size, one.unit, ".2g" if one.unit == "1" else ".3g")
-    return f"{_rival(one.kind, one.signals, rate=''.join(one.other))}{where} ({shown})"
+    words = {"meaning": fault.meaning, "rate": "".join(fault.other)}
+    where = f" in {fault.record}" if fault.record else ""
+    shown = _size(one.size, fault.unit, ".2g" if fault.unit == "1" else ".3g")
+    return f"{text.format(**_of(fault.signals), **words)}{where}" + f" ({shown})" * bool(one.std)
 
 
 def _size(size: float, unit: str, form: str) -> str:
@@ -163,26 +155,25 @@ class Log:
             found |= dict.fromkeys(sorted(fresh))
         return tuple(found)
 
-    def reading(self, one: Reading) -> Finding:
+    def reading(self, one: Found) -> Finding:
         """Words for another reading of the same numbers."""
-        fix, names = one.correction, one.correction.signals
-        unit, twice = getattr(self._channel(names[0]), "unit", ""), "twice" in one.meaning
-        header = unit if twice and unit else one.meaning
-        lists: dict[str, list[str]] = {"headers": [], "signs": [], "columns": []}
-        for name, other in zip(names, reversed(names), strict=True):
-            channel, column = self._channel(name), self._column(other)
-            sign = -getattr(channel, "sign", 1.0)
-            lists["headers"].append(f'write the header as "{self._column(name)} [{header}]"')
-            lists["signs"].append(self._declared(name, f"sign={sign:g}"))
-            lists["columns"].append(self._declared(name, f'column="{column}"'))
-        have, are = ("has", "is") if len(names) == 1 else ("have", "are")
-        words = {key: " and ".join(each) for key, each in lists.items()} | {
-            "have": have, "are": are, "meaning": one.meaning, "declared": unit,
+        fix, names, meaning = one.correction, one.candidate.signals, one.candidate.meaning
+        unit, twice = getattr(self._channel(names[0]), "unit", ""), "twice" in meaning
+        header = unit if twice and unit else meaning
+        columns = [*map(self._column, names)]
+        signs = (-getattr(self._channel(name), "sign", 1.0) for name in names)
+        lines = {
+            "headers": [f'write the header as "{column} [{header}]"' for column in columns],
+            "signs": map(self._declared, names, (f"sign={sign:g}" for sign in signs)),
+            "columns": map(self._declared, names, (f'column="{c}"' for c in reversed(columns))),
+        }
+        words = {key: " and ".join(each) for key, each in lines.items()} | {
+            "meaning": meaning, "declared": unit,
             "times": f"{1.0 / fix.value:.3g}", "factor": fix.value,
             "frames": self._frame(names),
-            "units": ", ".join(f'"{name}": "{one.meaning}"' for name in names),
+            "units": ", ".join(f'"{name}": "{meaning}"' for name in names),
         }  # fmt: skip
-        row, others = "twice" if twice else fix.kind, tuple(map(say_reading, one.rivals))
+        row, others = "twice" if twice else fix.kind, tuple(map(rival, one.rivals))
         if names[0] in self.channels.input_names:
             row, others = f"input {row}", (*others, NOMINAL)
         return said(
@@ -192,31 +183,27 @@ class Log:
 
     def sized(self, one: Found) -> Finding:
         """Words for a fault with a size."""
-        fault, early = one.candidate, " and ".join(one.candidate.signals)
+        fault, here = one.candidate, one.candidate.record
         of_input = fault.signals[0] in self.channels.input_names
         row, names, size = self._row_of(fault, one.size, of_input=of_input)
         bounds, at = interval(size, one.std), self.at(fault)
         words = {
-            "early": early, "come": "come" if len(names) > 1 else "comes",
-            "shown": amount(size, bounds, fault.unit), "unit": fault.unit, "size": abs(size),
-            "rate": "".join(fault.other), "record": fault.record,
-            "at": at, "left": 1.0 - size,
-            "since": f"from t = {at:.6g} s of {fault.record} on" if fault.placed
-            else f"in {fault.record}",
-            "where": f" in {fault.record}" * bool(fault.record),
-            "own": ", per_record=True" * bool(fault.record),
+            "early": " and ".join(fault.signals), "shown": amount(size, bounds, fault.unit),
+            "unit": fault.unit, "size": abs(size), "left": 1.0 - size,
+            "rate": "".join(fault.other), "record": here, "at": at,
+            "since": f"from t = {at:.6g} s of {here} on" if fault.placed else f"in {here}",
+            "where": f" in {here}" * bool(here), "own": ", per_record=True" * bool(here),
         }  # fmt: skip
-        others = tuple(_say_sized(*rival) for rival in one.rivals)
+        others = (*map(rival, one.rivals), *[NOMINAL] * of_input)
         kinds = {"rate": "clock", "input scale": "scale"}
         undone = replace(one.correction, signals=names, value=size)
         allowed = bool(self.modelled & {*fault.signals})
         return said(
-            kinds.get(row, fault.kind), names,
-            (fault.record,) if fault.record else self.records, words, row=row,
+            kinds.get(row, fault.kind), names, (here,) if here else self.records, words, row=row,
             fix=self._fix(row, names, allowed=allowed), size=size, interval=bounds,
-            unit=fault.unit, gain=one.gain, alternatives=(*others, *[NOMINAL] * of_input),
+            unit=fault.unit, gain=one.gain, alternatives=others,
             correction=None if of_input or row == "run" else undone,
-            **({"suspect": False} if allowed else {}),
+            suspect=not (allowed or is_a(row, "note")),
         )  # fmt: skip
 
     def _fix(self, row: str, names: tuple[str, ...], *, allowed: bool) -> str:
@@ -410,23 +397,20 @@ def clock_findings(traces: list[Trace], relations: tuple[Relation, ...]) -> Iter
 
 def _contradicts(trace: Trace, relations: tuple[Relation, ...], k: int) -> bool:
     """Whether the changes over a gap agree with a usual step, and not with the clock's."""
-    by_clock, by_step = 0.0, 0.0
-    span = trace.times[k + 1] - trace.times[k]
+    off, rows = np.zeros((1, 2)), slice(max(k - 4, 0), k + 6)
+    before = k + 1 - rows.start
+    spans = np.array([trace.times[k + 1] - trace.times[k], trace.step])
     for relation in relations:
-        if not relation.is_rate or not {*relation.names} <= trace.values.keys():
-            continue
-        rows = slice(max(k - 4, 0), k + 6)
-        here = {name: trace.values[name][rows] for name in relation.signals}
-        target = trace.values[relation.target]
-        ends = (target[max(k - 4, 0) : k + 1], target[k + 1 : k + 6])
-        if any(not np.isfinite(v).all() for v in (*here.values(), *ends)) or len(ends[1]) < 5:
+        here = {n: trace.values[n][rows] for n in relation.names if n in trace.values}
+        whole = len(here) == len({*relation.names}) and np.isfinite([*here.values()]).all()
+        if not relation.is_rate or not whole or here[relation.target].size < before + 5:
             continue
         rate = float(np.mean(relation(here, trace.times[rows])))
         # Means of five samples on either side, five usual steps apart beside the gap.
+        ends = np.split(here[relation.target], [before])
         change = float(np.mean(ends[1]) - np.mean(ends[0]))
-        noise = trace.noise[relation.target] * np.sqrt(2.0 / 5.0) + 0.02 * abs(rate) * span
+        noise = trace.noise[relation.target] * np.sqrt(2.0 / 5.0) + 0.02 * abs(rate) * spans[0]
         noise += 1e-9 + 1e-3 * abs(change)
-        sides = 4.0 * trace.step
-        by_clock = max(by_clock, abs(change - rate * (span + sides)) / noise)
-        by_step = max(by_step, abs(change - rate * (trace.step + sides)) / noise)
-    return by_clock > LOUDER and by_step < 0.5 * LOUDER
+        off = np.vstack([off, np.abs(change - rate * (spans + 4.0 * trace.step)) / noise])
+    by_clock, by_step = off.max(axis=0)
+    return bool(by_clock > LOUDER and by_step < 0.5 * LOUDER)
