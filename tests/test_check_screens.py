@@ -65,7 +65,7 @@ def test_cubic_through_four_neighbours() -> None:
     assert off_cubic(lifted, 3)[8].tolist() == [1.0, 1.0, 1.0]
 
 
-@pytest.mark.parametrize("length", [2, 3, 4, 5, 6])
+@pytest.mark.parametrize("length", [2, 3, 4, 5, 6, 8])
 @pytest.mark.parametrize("size", [0.3, -2.0])
 def test_groups_are_found_with_all_their_samples(length: int, size: float) -> None:
     """Four groups of equal or of alternating sign, in one record of 800 samples."""
@@ -95,6 +95,19 @@ def test_clean_noise_holds_no_groups() -> None:
                 noise[k] = 0.8 * noise[k - 1] + 0.6 * noise[k]
         series = np.sin(0.5 * TIMES) + 0.05 * noise
         alarms += len(bursts(TIMES, series, np.zeros(TIMES.size, dtype=bool), 8.5, 0.02))
+    assert alarms == 0
+
+
+def test_several_small_spikes_are_no_heavy_tail() -> None:
+    """Nine of ten times the noise are found; Student's noise of five freedoms has none."""
+    hits, alarms = 0, 0
+    for seed in range(40):
+        rng = np.random.default_rng((2, seed))
+        spiky = wave(seed)
+        spiky[rng.choice(TIMES.size, 9, replace=False)] += 0.1 * np.resize([1.0, -1.0], 9)
+        hits += "spikes" in found_in(spiky)
+        alarms += "spikes" in found_in(wave(seed, 0.0) + 0.01 * rng.standard_t(5, TIMES.size))
+    assert hits >= 30
     assert alarms == 0
 
 
@@ -238,6 +251,9 @@ def test_motion_is_no_jump() -> None:
     assert alarms == 0
     ramp = np.interp(np.arange(800), [0, 300, 304, 800], [0.0, 0.0, 1.0, 1.0])
     assert not steps(TIMES, ramp, GOOD, 0.05)
+    passing = wave()
+    passing[300:308] += 2.0
+    assert not steps(TIMES, passing, GOOD, 0.05)
     spike = wave()
     spike[300] += 2.0
     assert [fault.kind for fault in screen(traced(spike))] == ["spikes"]

@@ -13,7 +13,9 @@ Spikes are looked for in what a cubic through four neighbours does not explain,
 at 8.5 times the robust deviation of :math:`d`, globally and nearby: with normal noise one in
 :math:`10^{16}` samples. Noise may have heavier tails, as Student's law with five degrees of freedom
 has: of :math:`n` samples beyond 3.5 deviations :math:`n\,(3.5/x)^5` are then beyond :math:`x`, and
-the limit is where that is :math:`\alpha`. A kink, where a rudder starts to move say, changes the
+the limit is where chance, with probability :math:`\alpha`, leaves as many there as are (Poisson).
+One alone has to be large; of several, which such tails do not make, each need only be beyond what
+normal noise leaves. A kink, where a rudder starts to move say, changes the
 slope and is left alone: the deviation from both neighbours has to exceed 1.5 times the change of
 slope around it. Where chance would hardly put so many of these samples right after steps of the
 inputs, those there are no faults but answers that are faster than the sampling.
@@ -32,20 +34,10 @@ the group, it is left alone unless the steps into it and out of it exceed :math:
 beside :math:`b` and :math:`a`, and unless its ends stand out by half of what its middle does: a
 turning point and a short hump are no faults.
 
-Steps: a signal jumps once between two samples and stays there.
-
-A compass that was set, a gyro that was reset, a depth whose zero was changed. Straight lines
-through the five samples before and the five after meet the middle between samples :math:`i` and
-:math:`i + 1` at different levels,
-
-.. math:: J_i = r_i(t_{i+1/2}) - l_i(t_{i+1/2}).
-
-A step stands out by 8.5 robust deviations of :math:`J`, over the record and near by, is three times
-what the signal moves by itself over these samples, happens between two samples (the raw change is
-most of it), and is the largest of its neighbours. Curvature moves both lines alike and falls out.
-
-:math:`J` is uncertain by 1.28 times the noise. Its size is therefore fitted once more as a cubic
-with a step, over the widest surroundings in which noise is all that this leaves.
+Steps: a signal jumps once between two samples and stays there. A compass that was set, a gyro that
+was reset, a depth whose zero was changed: of the differences of neighbours that is a single sample
+that five on either side contradict, and it is found as a spike of theirs. Its size is fitted as a
+cubic with a step, over the widest surroundings in which noise is all that this leaves.
 
 Times at which samples were taken that scatter about those that were written.
 
@@ -75,18 +67,26 @@ from math import comb
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import bdtrc, ndtri
+from scipy.special import bdtrc, ndtri, pdtrc, pdtri
 
 from oed_sysid.evidence.chance import FALSE_CLAIMS
 from oed_sysid.evidence.traces import LEAST, MATERIAL, RELATIVE, Trace, fast_noise
-from oed_sysid.likelihood.noise_levels import Runs, longest_run, off_cubic, robust_deviation
+from oed_sysid.likelihood.noise_levels import (
+    Runs,
+    longest_run,
+    off_cubic,
+    robust_deviation,
+    surely_beyond,
+)
 
-# Robust deviations of a spike or step in normal noise, and from which on tails are counted.
+# Robust deviations of a spike or step that is alone, and from which on tails are counted.
 SPIKE, TAIL = 8.5, 3.5
 # Samples on either side of a step that tell level and slope.
 SIDE = 5
 # Samples around a group or a step that say what is usual.
 AROUND = 5 * SIDE
+# Samples of the longest group; what stays longer is a step.
+LONGEST = 12
 # Share of samples or values from which on a signal is coarse, held or interpolated.
 HELD = 0.5
 
@@ -356,11 +356,18 @@ def _sizes(series: np.ndarray) -> np.ndarray:
 
 
 def _limit(series: np.ndarray, alpha: float) -> float:
-    """Robust deviations beyond which noise like this leaves nothing, heavy tails allowed for."""
+    """Robust deviations beyond which lie more samples than noise with such tails leaves."""
     size = _sizes(series)
-    beyond = np.convolve(size > SPIKE, np.ones(9), mode="same") > 0.5
-    n_tail = int(np.sum((size > TAIL) & ~beyond)) - 1
-    return max(SPIKE, TAIL * (max(n_tail, 0) / alpha) ** 0.2)
+    n_tail, surely = int(np.sum(size > TAIL)), surely_beyond(alpha, size.size)
+    # Samples beside one that stands out do as well: only the largest around counts.
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(size, SIDE), 2 * SIDE + 1)
+    peaks = -np.sort(-size[(size == around.max(axis=1)) & (size > surely)])
+    rank, share = np.arange(peaks.size), (TAIL / peaks) ** 5
+    made = np.maximum(n_tail - 1 - rank, 1) * share / (1.0 - share)
+    last = int(np.max(np.flatnonzero(pdtrc(rank, made) < alpha), initial=0))
+    left = max(n_tail - 1 - last, 0)
+    limit = TAIL * (1.0 + left / float(pdtri(last, 1.0 - alpha))) ** 0.2
+    return max(limit, surely if last else SPIKE)
 
 
 def bursts(
@@ -392,18 +399,28 @@ def bursts(
     >>> [rows.tolist() for rows in bursts(t, y, np.zeros(300, dtype=bool), 8.5, 0.02)]
     [[100, 101, 102]]
     """
+    lengths = [n for n in range(1, LONGEST + 1) if series.size - n - 3 >= LEAST]
+    return _groups(times, series, taken, lengths, (limit, least))
+
+
+def _groups(
+    times: np.ndarray,
+    series: np.ndarray,
+    taken: np.ndarray,
+    lengths: Sequence[int],
+    limits: tuple[float, float],
+    side: int = 2,
+) -> list[np.ndarray]:
+    """Groups of some lengths that so many samples on either side contradict."""
     y, used, uneven = series.copy(), taken.copy(), _uneven(times)
     groups: list[np.ndarray] = []
     while True:
-        found = list[tuple[float, int, int]]()
-        for length in (1, 2, 3, 4, 5, 6, 9, 12):
-            if y.size - length - 3 >= LEAST:
-                found += _candidates(y, length, limit, least)
+        found = [one for length in lengths for one in _candidates(y, length, *limits, side)]
         before = len(groups)
         # The clearest first: a window that holds a part of a group sees the rest beside it.
         for _, first, length in sorted(found, reverse=True):
-            window = slice(first - 2, first + length + 2)
-            if used[window].any() or uneven[first - 2 : first + length + 1].any():
+            window = slice(first - side, first + length + side)
+            if used[window].any() or uneven[window.start : window.stop - 1].any():
                 continue
             groups.append(np.arange(first, first + length))
             used[first : first + length] = True
@@ -425,16 +442,16 @@ def _uneven(times: np.ndarray) -> np.ndarray:
 
 
 def _candidates(
-    y: np.ndarray, length: int, limit: float, least: float
+    y: np.ndarray, length: int, limit: float, least: float, side: int
 ) -> Iterator[tuple[float, int, int]]:
     """Excess, first sample and length of each group that stands out."""
-    d = np.abs(off_cubic(y, length))
+    d = np.abs(off_cubic(y, length, side))
     ends = np.minimum(d[:, 0], d[:, -1])
     usual = robust_deviation(d[:, [0, -1]])
     # What rises from sample to sample stands out most in its middle.
     sharp = ends >= 0.5 * d.max(axis=1)
     for k in np.flatnonzero(sharp & (ends > max(limit * usual, least))):
-        first = int(k) + 2
+        first = int(k) + side
         last = first + length - 1
         before, after = y[first - 1] - y[first - 2], y[last + 2] - y[last + 1]
         bend = 1.5 * abs(after - before)
@@ -444,7 +461,8 @@ def _candidates(
             continue
         # Windows that overlap the group see it as well.
         beside = np.abs(np.arange(d.shape[0]) - k)
-        near = d[(beside > length + 3) & (beside <= length + 3 + AROUND)]
+        apart = length + 2 * side - 1
+        near = d[(beside > apart) & (beside <= apart + AROUND)]
         nearby = limit * robust_deviation(near[:, [0, -1]]) if near.size else 0.0
         # Calm surroundings: their own changes are no size that would make a group stand out.
         calm = 3.0 * max(abs(before), abs(after))
@@ -479,52 +497,34 @@ def steps(times: np.ndarray, series: np.ndarray, taken: np.ndarray, least: float
     >>> [(one.row, round(one.size, 1)) for one in steps(t, y, np.zeros(400, dtype=bool), 0.1)]
     [(250, 1.5)]
     """
-    n = series.size - 2 * SIDE + 1
-    if n < LEAST:
+    if series.size <= LEAST + 2 * SIDE:
         return []
-    # Level half a sample beyond the end of a line through SIDE samples, and its slope.
-    at = np.arange(SIDE) - 0.5 * (SIDE - 1)
-    slope = at / np.sum(at**2)
-    level = 1.0 / SIDE + 0.5 * SIDE * slope
-    windows = np.lib.stride_tricks.sliding_window_view(series, SIDE)
-    before, after = windows[:n], windows[SIDE : SIDE + n]
-    jumps = after @ level[::-1] - before @ level
-    motion = SIDE * np.maximum(np.abs(before @ slope), np.abs(after @ slope))
-    raw = series[SIDE : SIDE + n] - series[SIDE - 1 : SIDE - 1 + n]
-    usual = robust_deviation(jumps)
-    uneven, size = _uneven(times), np.abs(jumps)
-    result = []
-    for k in np.flatnonzero(size > np.maximum(max(SPIKE * usual, least), 3.0 * motion)):
-        around = slice(k, k + 2 * SIDE)
-        if taken[around].any() or uneven[k : k + 2 * SIDE - 1].any():
-            continue
-        if size[k] < size[max(k - SIDE, 0) : k + SIDE + 1].max():
-            continue
-        beside = np.abs(np.arange(n) - k)
-        near = size[(beside >= SIDE) & (beside < SIDE + AROUND)]
-        nearby = SPIKE * robust_deviation(near)
-        if size[k] > nearby and raw[k] / jumps[k] > 0.7:
-            result.append(Step(int(k) + SIDE, float(jumps[k])))
-    edges = [0, *(one.row for one in result), series.size]
+    beside = taken[1:] | taken[:-1]
+    jumps = _groups(times[1:], np.diff(series), beside, [1], (SPIKE, least), SIDE)
+    # What passes jumps back before long.
+    change = np.where(beside, 0.0, np.abs(np.diff(series)))
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(change, LONGEST), 2 * LONGEST + 1)
+    alone = np.sort(around, axis=1)[:, -2] < 0.5 * change
+    rows = sorted(int(group[0]) + 1 for group in jumps if alone[group[0]])
+    edges = [0, *rows, series.size]
     return [
-        Step(one.row, _size(series, taken, one, (edges[j], edges[j + 2])))
-        for j, one in enumerate(result)
+        Step(row, _size(series, taken, row, (edges[j], edges[j + 2]))) for j, row in enumerate(rows)
     ]
 
 
-def _size(series: np.ndarray, taken: np.ndarray, one: Step, free: tuple[int, int]) -> float:
+def _size(series: np.ndarray, taken: np.ndarray, row: int, free: tuple[int, int]) -> float:
     """Size of a jump from the widest surroundings that a cubic with a step follows."""
-    noise, size = fast_noise(series), one.size
+    noise, size = fast_noise(series), float(series[row] - series[row - 1])
     for width in (10, 20, 40, 80):
-        if one.row - width < free[0] or one.row + width > free[1]:
+        if row - width < free[0] or row + width > free[1]:
             break
-        rows = np.arange(one.row - width, one.row + width)
-        x = (rows - one.row + 0.5) / width
+        rows = np.arange(row - width, row + width)
+        x = (rows - row + 0.5) / width
         matrix = np.column_stack([x**0, x, x**2, x**3, x > 0.0])[~taken[rows]]
         here = series[rows[~taken[rows]]]
         fitted = np.linalg.lstsq(matrix, here, rcond=None)[0]
         left = here - matrix @ fitted
-        if np.sqrt(np.sum(left**2) / (here.size - 5)) > 1.15 * noise:
+        if width > 10 and np.sqrt(np.sum(left**2) / (here.size - 5)) > 1.15 * noise:
             break
         size = float(fitted[-1])
     return size

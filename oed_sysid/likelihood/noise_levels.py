@@ -701,30 +701,29 @@ def _off_cubic(values: np.ndarray) -> np.ndarray:
     return off
 
 
-def cubic_weights(length: int) -> np.ndarray:
-    """Share of each of the four surrounding samples in the cubic, shape ``(length, 4)``.
+def cubic_weights(length: int, side: int = 2) -> np.ndarray:
+    """Share of each of the surrounding samples in the cubic, shape ``(length, 2 side)``.
 
     >>> print(cubic_weights(1) * 6.0)
     [[-1.  4.  4. -1.]]
     """
-    at = np.array([-2.0, -1.0, length, length + 1.0])
+    at = np.append(np.arange(-side, 0), np.arange(length, length + side)).astype(float)
     powers = np.arange(4)
     inside = np.arange(length)[:, None] ** powers
-    return np.round(inside @ np.linalg.inv(at[:, None] ** powers), 12)
+    return np.round(inside @ np.linalg.pinv(at[:, None] ** powers), 12)
 
 
-def off_cubic(values: np.ndarray, length: int = 1) -> np.ndarray:
-    """Departure of every group of samples from the cubic through two on each side of it.
+def off_cubic(values: np.ndarray, length: int = 1, side: int = 2) -> np.ndarray:
+    """Departure of every group of samples from the cubic through some on each side of it.
 
     Returns
     -------
-    ndarray (n - length - 3, length)
-        The first row is that of the group that begins at the third sample.
+    ndarray (n - length - 2 side + 1, length)
+        The first row is that of the group that begins after ``side`` samples.
     """
-    n = values.size - length - 3
-    around = np.column_stack([values[k : k + n] for k in (0, 1, length + 2, length + 3)])
-    inside = np.column_stack([values[k + 2 : k + 2 + n] for k in range(length)])
-    return np.asarray(inside - around @ cubic_weights(length).T)
+    windows = np.lib.stride_tricks.sliding_window_view(values, length + 2 * side)
+    around = np.delete(windows, np.arange(side, side + length), axis=1)
+    return np.asarray(windows[:, side : side + length] - around @ cubic_weights(length, side).T)
 
 
 def without_spikes(dataset: Dataset, masks: Sequence[np.ndarray]) -> Dataset:
