@@ -57,7 +57,7 @@ from oed_sysid.evidence.traces import LEAST, MATERIAL, RELATIVE, Trace, fast_noi
 # Resolution: block means of a piece; and places a record at which a step or a burst is tried before
 # its place is refined.
 MOST_BLOCKS = 240
-PLACES = MOST_BLOCKS // 2
+PLACES = MOST_BLOCKS // 4
 PLACED = np.arange(1, PLACES) / PLACES
 # Variance of noise at one place of a record over that of the whole.
 VARYING = 1.5
@@ -275,7 +275,7 @@ class Question:
         plain = [d for d in drifts if {*d.signals} - facts.integrated or len(facts.positions) > 1]
         common = (*facts.sensors(), *facts.clocks(), *facts.places(), *plain)
         apart = [c for c in (*common, *drifts) if c.kind in ("bias", "scale", "drift")]
-        several = traces if 1 < len(traces) <= PLACES // 2 else ()
+        several = traces if 1 < len(traces) <= PLACES else ()
         pairs = ((t, c) for t, c in product(several, apart) if {*c.signals} <= t.values.keys())
         single = dict.fromkeys(replace(c, record=t.name) for t, c in pairs)
         local, read = map(facts.step_of, facts.size), readings(traces, relations)
@@ -989,7 +989,9 @@ def search(
             return Result((), [*dict.fromkeys(faults, np.inf).items()])
         now = [faults.index(fault) for fault in active]
         inside = np.union1d(np.arange(n_common), now).astype(int)
-        system, wide = (one.given(n_given) for one in assemble(pieces, faults, places, inside))
+        whole, wide = assemble(pieces, faults, places, inside)
+        # Places are picked without the given errors, beside which those picked are then asked.
+        system = whole.given(n_given)
         bench = replace(system, right=system.right + [*active.values()] @ system.gram[now])
         strained = strained if turn else bench.strained(now)
         if strained and only_linear:
