@@ -51,6 +51,8 @@ from oed_sysid.evidence.inputs import between_runs, scaled_inputs
 from oed_sysid.evidence.relations import Relation, integral, relations, spare_signals
 from oed_sysid.evidence.screens import screen
 from oed_sysid.evidence.traces import Trace
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.manoeuvres import ZigZag
 from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.experiments.schedules import FromRecord
 from oed_sysid.experiments.simulation import simulate
@@ -1055,3 +1057,33 @@ def test_a_failed_fit_says_first_what_its_log_shows() -> None:
     assert where
     assert max(where) < said.advice.index(fit.status.advice)
     assert advised(fit, quick_check(clean, yaw_model())) is fit
+
+
+def test_moments_are_not_told_by_a_speed_that_is_smoothed_from_positions() -> None:
+    """A sway speed from a receiver moves before the rudder that moves it: no delay is asked."""
+    priors = {"Yv": -0.1, "Yr": -3.0, "Yd": 0.1, "Nv": -0.002, "Nr": -0.2, "Nd": -0.01}
+    sides = {"x": "7*cos(psi) - v*sin(psi)", "y": "7*sin(psi) + v*cos(psi)"}
+    ship = Model(
+        "ship",
+        states=(State("v", "m/s"), State("r", "rad/s"), State("psi", "rad"), State("x", "m"),
+                State("y", "m")),
+        inputs=(Input("delta", "rad"),),
+        outputs=(Output("r", "rad/s", noise_std=5e-4), Output("psi", "rad", noise_std=2e-3),
+                 Output("x", "m", noise_std=0.3), Output("y", "m", noise_std=0.3)),
+        kinematics={"v": "Yv*v + Yr*r + Yd*delta", "r": "Nv*v + Nr*r + Nd*delta", "psi": "r"}
+        | sides,
+        parameters=tuple(
+            Parameter(n, one, prior_mean=one, prior_std=0.2 * abs(one)) for n, one in priors.items()
+        ),
+        step=0.5,
+    )  # fmt: skip
+    turn = ZigZag("delta", 0.35, 0.35, sign=-1, rate=0.05)
+    record = simulate(
+        ship, Experiment("zigzag", turn, duration=240.0, sample_time=0.5),
+        rng=np.random.default_rng(1),
+    )  # fmt: skip
+    found = check(Dataset((record,)), ship)
+    (asked,) = (one for one in found.judged if (one.fault, one.signal) == ("delay", "delta"))
+    assert asked.state == "not tested"
+    assert asked.says.startswith("v ")
+    assert not found.suspect

@@ -17,7 +17,7 @@ from oed_sysid.evidence.check import LogCheck, check, corrected_copies, quick_ch
 from oed_sysid.evidence.contrasts import UNEXPLAINED, unexplained
 from oed_sysid.evidence.relations import relations
 from oed_sysid.evidence.screens import bursts, jitter, screen, screened, steps
-from oed_sysid.evidence.traces import Trace
+from oed_sysid.evidence.traces import Trace, after_steps
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.noise_levels import cubic_weights, off_cubic
@@ -574,3 +574,11 @@ def test_uneven_times_that_are_right_are_no_jitter() -> None:
         "r": 0.3 * np.cos(0.3 * t) + 1e-3 * rng.standard_normal(t.size),
     }
     assert jitter([Trace("run", t, values, {"psi": "rad", "r": "rad/s"})]).signals == ()
+
+
+def test_a_small_step_of_a_held_command_is_a_step() -> None:
+    """However small beside others, it is answered; of a command with noise only large ones are."""
+    held = np.repeat([0.0, 0.5, 10.0, 9.6], 20)
+    assert after_steps(held)[[20, 40, 60]].all()
+    noisy = held + 0.01 * np.random.default_rng(0).standard_normal(held.size)
+    np.testing.assert_array_equal(np.flatnonzero(after_steps(noisy)), [40, 41, 42])

@@ -150,7 +150,9 @@ def input_findings(
     if isinstance(traces, str):
         rows = [Judged(kind, one.name, "not tested", traces) for one, kind in asked]
         return beyond, rows, f"Signs and units of inputs: {traces}."
-    question = _question(traces, model)
+    # A state that follows from others is smoothed over samples, and moves before what moves it.
+    derived = [one.name for k, one in enumerate(model.states) if k not in measured_columns(model)]
+    question = _question(traces, model, timed=not derived)
     found, ended = diagnosed(traces, question)
     log = Log(dataset.channels, (), dataset.names, {t.name: t.ends for t in traces})
     # Forces that set in are what the vehicle met: rivals of a fault, and none themselves.
@@ -160,7 +162,17 @@ def input_findings(
     # What the motion says of an input holds what its range says.
     named = set().union(*(one.signals for one in findings))
     findings += [one for one in beyond if named.isdisjoint(one.signals)]
-    return findings, [judged_row(kind, one.name, one.unit, ended) for one, kind in asked], ""
+    untimed = f"{', '.join(derived)} is smoothed from what was measured, and tells no moments"
+    return (
+        findings,
+        [
+            Judged(kind, one.name, "not tested", untimed)
+            if derived and kind == "delay"
+            else judged_row(kind, one.name, one.unit, ended)
+            for one, kind in asked
+        ],
+        "",
+    )
 
 
 def _unlogged(traces: Sequence[Trace], question: Question, model: Model) -> Iterator[Finding]:
@@ -293,8 +305,11 @@ def smooth(name: str) -> str:
     return f"{name} smoothed"
 
 
-def _question(traces: Sequence[Trace], model: Model) -> Question:
-    """What is asked of inputs, with errors of the parameters and constant forces beside it."""
+def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question:
+    """What is asked of inputs, with errors of the parameters and constant forces beside it.
+
+    Delays and lags where the states are ``timed``.
+    """
     equations = _nominal(model)
     length = max(end - start for start, end in (t.ends for t in traces))
     moving = {one.name: one.unit for one in model.inputs if _moves(traces, one.name)}
@@ -303,8 +318,9 @@ def _question(traces: Sequence[Trace], model: Model) -> Question:
     for name in moving:
         lost = Candidate("lost", (name,), "1", 1.0, 0.5, rare=RARER)
         common.append(replace(lost, material=RELATIVE, rare=0.0))
-        common.append(Candidate("delay", (name,), "s", late, traces[0].step))
-        common.append(Candidate("lag", (name,), "s", late, traces[0].step, positive=True))
+        if timed:
+            common.append(Candidate("delay", (name,), "s", late, traces[0].step))
+            common.append(Candidate("lag", (name,), "s", late, traces[0].step, positive=True))
         single += [replace(lost, record=t.name) for t in traces]
         local.append(lost)
     for name in (one.target for one in equations):

@@ -172,7 +172,9 @@ class Located:
             words += [
                 "The smoothed residual force is the part of the missing force that the free "
                 "parameters could not absorb, not the missing force itself: compare it with the "
-                "signature of a candidate, which has been through the same projection."
+                "signature of a candidate, which has been through the same projection. Statistics "
+                "here are over noise of the sensors alone; those of candidates are over process "
+                "noise, which has taken most of it."
             ]
         parts = [
             Section(

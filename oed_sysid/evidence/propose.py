@@ -216,6 +216,9 @@ class Signals:
         for name, unit, kind in kinds:
             pooled = np.concatenate([part[name] for part in self.values])
             low, high = np.quantile(pooled, [0.01, 0.99])
+            # No deflection goes beyond a quarter of a turn: a direction, counted from anywhere.
+            direction = unit == "rad" and np.abs(pooled).max(initial=0.0) > 0.5 * np.pi
+            kind = "angle" if direction else kind
             if np.ptp(pooled) > 1e-9 * np.abs(pooled).max(initial=0.0):
                 signals.append(Signal(name, unit, kind, bool(low > 0 or high < 0)))
         self.signals = tuple(signals)

@@ -178,11 +178,14 @@ def after_steps(series: np.ndarray) -> np.ndarray:
     """
     pushed = np.zeros(series.size, dtype=bool)
     whole = np.nan_to_num(series)
-    steps = np.flatnonzero(np.abs(np.diff(whole)) > FEW * np.ptp(whole))
-    if not 0 < steps.size < FEW * series.size:
-        return pushed
-    for after in range(1, ANSWERED + 1):
-        pushed[np.minimum(steps + after, series.size - 1)] = True
+    change = np.abs(np.diff(whole))
+    # Every change of a command that is held; of one with noise the large ones.
+    for least in (0.0, FEW * np.ptp(whole)):
+        steps = np.flatnonzero(change > least)
+        if 0 < steps.size < FEW * series.size:
+            for after in range(1, ANSWERED + 1):
+                pushed[np.minimum(steps + after, series.size - 1)] = True
+            break
     return pushed
 
 

@@ -250,12 +250,14 @@ def _check_equations(model: Structure) -> None:
     for name in driven:
         if name not in model.state_names:
             raise ModelError(f"Model {model.name!r} has an equation for unknown state {name!r}.")
+    pairs = "an axis and a velocity: name axes first, such as {'Z': 'w'}"
+    if model.axes:
+        pairs = f"one of the axes {', '.join(model.axes)} and of {', '.join(model.axes.values())}"
     for axis, state in model.inertia:
         if axis not in model.axes or state not in model.axes.values():
             raise ModelError(
-                f"Model {model.name!r}: inertia has the key ({axis!r}, {state!r}), expected (axis, "
-                f"state) with an axis of {', '.join(model.axes)} and a state of "
-                f"{', '.join(model.axes.values())}, such as {next(iter(model.axes.items()), None)}."
+                f"Model {model.name!r}: inertia has the key ({axis!r}, {state!r}), which does not "
+                f"belong to the model. Expected (axis, state), {pairs}."
             )
 
 
