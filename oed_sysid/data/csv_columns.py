@@ -418,10 +418,14 @@ def _check_unit(where: str, channel: Input | Output, name: str, unit: str) -> No
             f"'{name} [deg]' if the numbers are degrees."
         )
     if not converts(unit, channel.unit):
+        mend = "Correct the unit in the header, as"
+        if converts(f"{unit} rad", channel.unit):
+            factor = 2.0 * np.pi * to_si(1.0, unit)[0]
+            mend = f"Multiply the numbers by {factor:.6g} (2 pi rad a revolution) and write"
         raise DataError(
             f"{where} is in [{unit}] but channel {channel.name} needs [{channel.unit}] or a "
-            "unit that converts to it. Correct the unit in the header, as "
-            f"'{name} [{channel.unit}]', or choose another column with column=..."
+            f"unit that converts to it. {mend} '{name} [{channel.unit}]', or choose another column "
+            "with column=..."
         )
 
 

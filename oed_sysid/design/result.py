@@ -227,6 +227,8 @@ class Design(_Accuracy):
             "expected relative standard errors before, after the design, and after zigzags.",
         )  # fmt: skip
         starts = ", ".join(f"{value:.4g}" for value in self.start_values)
+        if safe and self.value < min(self.start_values, default=-np.inf):
+            starts += "; gentler since, for vehicles that differ to keep the limits"
         length, every = self.experiment.duration, self.experiment.sample_time
         return Report(
             title=title or self.model.name,

@@ -29,8 +29,9 @@ from textwrap import indent
 
 import numpy as np
 
-from oed_sysid.data.csv_columns import TIME_NAMES
 from oed_sysid.data.dataset import write_csv
+from oed_sysid.data.formats import clock_of
+from oed_sysid.data.frames import is_time
 from oed_sysid.data.logs import draft, import_log, open_log
 from oed_sysid.errors import DataError, FileError, ProblemError, located
 from oed_sysid.experiments.catalogue import FILE, load_problem
@@ -247,20 +248,20 @@ def _told(log: Path, place: Path) -> tuple[Path, tuple[str, ...]] | None:
 
 def _signals(log: Path) -> tuple[np.ndarray, list[_Signal]]:
     table = read_table(log)
-    times: np.ndarray | None = None
+    columns = dict(zip(table.headers, table.values.T, strict=True))
+    clock = next(filter(is_time, columns), None) or clock_of(columns)
+    if clock is None:
+        raise DataError(f"{log.name} has no time column. Call it 't [s]'.")
+    times = to_si(columns.pop(clock), parse_header(clock)[1] or "s")[0]
     found: list[_Signal] = []
     without: list[str] = []
-    for header, column in zip(table.headers, table.values.T, strict=True):
+    for header, column in columns.items():
         name, unit = parse_header(header)
-        if times is None and name in (*TIME_NAMES, "Time", "TIME"):
-            times = to_si(column, unit or "s")[0]
-        elif unit is None:
+        if unit is None:
             without.append(header)
         elif np.isfinite(column).sum() > 2:
             values, si = to_si(column, unit)
             found.append(_Signal(_column_name(name, found), name, si, values))
-    if times is None:
-        raise DataError(f"{log.name} has no time column. Call it 't [s]'.")
     if without and not found:
         raise DataError(
             f"{log.name} has no units: {', '.join(without)}. Write them as '{without[0]} [deg]'."
