@@ -35,7 +35,7 @@ What is minimised says only how a point is evaluated (:class:`Iterate`) and how 
   Iterations run on gathered sums and end on exact ones;
 - :func:`whitened`, the likelihood of innovations with derivatives along the filtered path at frozen
   gain, from one pass (:class:`~oed_sysid.likelihood.filtered.Filtered`);
-- :func:`differentiated`, that of the filter as it is, by differences of whole filters; its cost
+- :func:`differentiated`, that of the filter as it is, by differences of its gain; its cost
   alone takes a pass without any derivative;
 - :func:`restricted`, the same with what parameters have followed of the noise (:func:`absorbed`):
   the noise is estimated by it, and noise models are compared by it;
@@ -55,7 +55,7 @@ import numpy as np
 from oed_sysid.compiled.kernels import Blocks
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.projection import bounded_step, gain_within, inverse_of
+from oed_sysid.likelihood.projection import bounded_step, gain_within
 from oed_sysid.likelihood.shooting import Follows, Linearisation, Point, Shooting
 from oed_sysid.likelihood.unknowns import node_maps
 
@@ -79,11 +79,9 @@ MOST_DAMPING = 10.0
 # goes on alone; and the fall of the cost over these that is too small to go on for, least and in
 # tolerances: its gradient leads to and fro.
 FEW, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
-# Information by differences of whole filters over that at frozen gain beyond which it is rounding
-# that an unstable model amplifies. Rounding falls with the square of the step, information does
-# not: where a standard deviation is smaller than at frozen gain by that factor, and as much smaller
-# than with steps so many times longer, it is rounding as well.
-AMPLIFIED, FARTHER = 1.2, 3.0
+# Information of a parameter over that at frozen gain beyond which what the gain adds is rounding
+# that an unstable model amplifies.
+AMPLIFIED = 1.2
 # Step, in standard deviations of the noise's unknowns, by which information is differentiated: ten
 # times as long it leaves a tenth of a nat more, and a very short one drowns in the rounding that an
 # unstable vehicle amplifies.
@@ -350,34 +348,19 @@ def differences(problem: Filtered, matrix: np.ndarray) -> np.ndarray:
 
 
 def _of_the_filter(problem: Filtered, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Matrix and right-hand side by differences of whole filters, or at frozen gain.
+    """Matrix and right-hand side with what the gain adds by differences, or at frozen gain.
 
     At frozen gain where rounding that an unstable model amplifies would be taken for information.
     """
     base = problem.passes(unknowns, rows=True, gains=True)
     frozen, right = problem.gathered(unknowns, base)
-    step = differences(problem, frozen)
-    whole = problem.differentiated(unknowns, base, step)
+    whole = problem.differentiated(unknowns, base, differences(problem, frozen))
     known = np.arange(problem.layout.levels.start)
     # A vehicle so unstable that moved filters overflow is one whose rounding is amplified.
-    if not all(np.isfinite(part).all() for part in whole):
+    usable = all(np.isfinite(part).all() for part in whole)
+    if not usable or (np.diag(whole[0])[known] > AMPLIFIED * np.diag(frozen)[known]).any():
         return frozen, right
-    if (np.diag(whole[0])[known] > AMPLIFIED * np.diag(frozen)[known]).any():
-        return frozen, right
-    found = _shared_std(problem, whole[0])
-    if (AMPLIFIED * found < _shared_std(problem, frozen)).any():
-        farther, _ = problem.differentiated(unknowns, base, FARTHER * step)
-        if not np.isfinite(farther).all():
-            return frozen, right
-        if (AMPLIFIED * found < _shared_std(problem, farther)).any():
-            return frozen, right
     return whole
-
-
-def _shared_std(problem: Filtered, matrix: np.ndarray) -> np.ndarray:
-    """Standard deviations of the shared parameters, everything else unknown."""
-    inverse = inverse_of(matrix + np.diag(problem.limits.prior_weight))
-    return np.sqrt(np.maximum(np.diag(inverse)[: len(problem.layout.shared)], 0.0))
 
 
 # -- iterations --------------------------------------------------------------------
