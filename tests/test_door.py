@@ -12,7 +12,7 @@ from marks import slow
 
 from benchmarks import door
 from oed_sysid import load_problem, new_problem
-from oed_sysid.cli import DONE, main
+from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.data.formats import open_log
 from oed_sysid.data.log import assemble, meaning, side_of
 from oed_sysid.data.logs import draft, import_log
@@ -254,3 +254,15 @@ def test_every_field_of_a_ships_own_log_is_told(tmp_path: Path, capsys) -> None:
 def test_a_name_may_say_to_which_side_it_counts(name: str, side: int) -> None:
     """A plus or a minus beside a side; a side alone is a place."""
     assert side_of(name) == side
+
+
+def test_a_rig_of_which_no_field_is_known(tmp_path: Path) -> None:
+    """Nothing is written and that is an error; a starter finds its clock as an import does."""
+    times = 0.5 * np.arange(40)
+    columns = np.column_stack([times, np.sign(np.sin(times)), 10.0 + np.sin(times)])
+    log = tmp_path / "rig.csv"
+    np.savetxt(log, columns, delimiter=",", header="Zeit [s],Pumpe [V],Pegel [cm]", comments="")
+    assert main(["import", str(log), "--out", str(tmp_path / "out")]) == BAD_INPUT
+    assert not (tmp_path / "out").exists()
+    folder = new_problem(tmp_path / "rig", log=log, inputs=("Pumpe",))
+    assert set(load_problem(folder).model.input_names) == {"Pumpe"}

@@ -185,12 +185,6 @@ def import_(
     target = oed_sysid.load_problem(_place(named, mapping), variant=model) if named else None
     if chosen is None and not listing and not find:
         chosen = _told(log, found, target, named, out)
-    if chosen is None and out is not None and not listing:
-        raise DataError(
-            f"No field of {log.name} is known by its name or its numbers, so that nothing is "
-            "written. Name fields and units in a mapping (--draft FILE --problem NAME begins one) "
-            "and give it with --map."
-        )
     if listing or chosen is None:
         _list(log, found, find)
     elif mapping is not None or out is not None:
@@ -206,8 +200,14 @@ def _told(
     told = recognise(found)
     channels = None if problem is None else problem.channels
     made = draft(found, channels, problem=named, found=told)
-    if made is None:
+    if made is None and out is None:
         return None
+    if made is None:
+        raise DataError(
+            f"No field of {log.name} is known by its name or its numbers, so that nothing is "
+            "written. Name fields and units in a mapping (--draft FILE --problem NAME begins one) "
+            "and give it with --map."
+        )
     doubts = sum(bool(one.doubts) for one in told.guesses) + bool(told.doubts)
     questions = f"{counted(doubts, 'question')} below" if doubts else "nothing has to be asked"
     answer(f"{log.name}: {counted(len(told.guesses), 'field')} recognised, {questions}.")

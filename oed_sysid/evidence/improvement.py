@@ -622,10 +622,8 @@ def _judged(
         f"{'does' if len(rivals) == 1 else 'do'} as well.": rivals,
         f"{step.added} before a validation record has confirmed it.": np.isnan(predicted),
     }
-    agree, sized = (
-        ", the validation records agree",
-        f": {shown}" * bool(told and sizes and not rivals),
-    )
+    agree = ", the validation records agree"
+    sized = f": {shown}" * bool(told and sizes and not rivals)
     found = [] if any(absent.values()) else [f"{what} is missing{agree * (predicted > 0)}{sized}."]
     return found, [text for text, applies in doubts.items() if applies]
 
