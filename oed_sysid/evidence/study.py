@@ -364,6 +364,7 @@ class Study:
             [0.0 if name in self.setting.known else known.get(name, 0.0) for name in noise.places]
         )
 
+    @_once
     def polished(self, found: FilteredSolution) -> FilteredSolution:
         """A fit at the optimum of the filter as it is, with errors of that."""
         return (

@@ -53,7 +53,9 @@ from oed_sysid.runtime.version import exported
 
 __all__ = exported(globals())
 
-_respelled = errors.respelled(errors.ModelError, {"neutral": "trim=..."})
+_respelled = errors.respelled(
+    errors.ModelError, {older: f"{newer}=..." for older, newer in base.OLDER.items()}
+)
 for _kind in [kind for kind in map(globals().get, __all__) if isinstance(kind, type)]:
     if issubclass(_kind, base.Timed):
         _kind.__init__ = _respelled(_kind.__init__)  # type: ignore[method-assign]
