@@ -8,7 +8,7 @@ from marks import slow
 
 from oed_sysid import Dataset, Fit, Input, Model, MultipleShooting, Output, Parameter, Record, State
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.prediction.closed_loop import CourseControl, ZigzagControl, closed_loop
+from problems.kvlcc2.closed_loop import CourseControl, ZigzagControl, closed_loop
 
 STEP = 0.5
 

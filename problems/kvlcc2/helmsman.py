@@ -365,7 +365,7 @@ def fit_course_law(
     courses: np.ndarray | None,
     most_changes: int,
 ) -> tuple[Followed, bool, float]:
-    """Fit the law; see :meth:`oed_sysid.prediction.closed_loop.CourseControl.of`.
+    """Fit the law; see :meth:`problems.kvlcc2.closed_loop.CourseControl.of`.
 
     Returns
     -------

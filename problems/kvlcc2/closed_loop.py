@@ -12,11 +12,11 @@ within a limit; :math:`\psi_\mathrm{ref}` changes in steps (:class:`CourseContro
 zigzag (:class:`ZigzagControl`) are :math:`\pm\delta_a`, reversed where
 :math:`|\psi_k - \psi_0|` passes :math:`\psi_s`.
 
-A law is given, or read from the record: that of a course by :mod:`oed_sysid.prediction.helmsman`.
+A law is given, or read from the record: that of a course by :mod:`problems.kvlcc2.helmsman`.
 Of a zigzag orders are the levels at which the logged rudder is held, each given where it leaves the
 level before (:func:`oed_sysid.experiments.indices.rudder_legs`). In a log by samples the order lies
 within the step after; the heading of reversal is that at half of it, from the smoothed heading
-(:func:`oed_sysid.prediction.helmsman.smooth_heading`), uncertain by the smoother and by
+(:func:`problems.kvlcc2.helmsman.smooth_heading`), uncertain by the smoother and by
 :math:`|r| \Delta t / \sqrt{12}`.
 
 Bands are those of draws from the fit, each in its own loop with a law drawn from its own
@@ -44,9 +44,10 @@ from oed_sysid.likelihood.noise_levels import fast_level
 from oed_sysid.likelihood.start_guess import measured_columns, measured_states
 from oed_sysid.physics.model import Model
 from oed_sysid.prediction.draws import asked, parameter_sets
-from oed_sysid.prediction.helmsman import correlation, fit_course_law, smooth_heading
 from oed_sysid.runtime.display import Report, Section, Table, as_text, digits, rounded, share
 from oed_sysid.text.units import shown_unit
+
+from .helmsman import correlation, fit_course_law, smooth_heading
 
 __all__ = ["ClosedLoop", "Control", "CourseControl", "ZigzagControl", "closed_loop"]
 
@@ -259,7 +260,7 @@ class CourseControl(Control):
         courses: ArrayLike | str | None = None,
         most_changes: int = 8,
     ) -> CourseControl:
-        """Identify the law from a record; equations in :mod:`oed_sysid.prediction.helmsman`.
+        """Identify the law from a record; equations in :mod:`problems.kvlcc2.helmsman`.
 
         Parameters
         ----------
