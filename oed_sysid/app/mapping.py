@@ -365,15 +365,20 @@ def asked(source: str, problem: Problem) -> LogMapping:
     unit = str(visit.chosen("map", source, "clock unit") or "")
     inputs = {one.name: found[one.name] for one in problem.model.inputs}
     mapping = LogMapping(inputs, outputs, time_unit=unit)
+    return replace(mapping, **_cuts(source, problem))
+
+
+def _cuts(source: str, problem: Problem) -> dict[str, Any]:
+    """How the log is cut into runs, as fields of a mapping."""
     how = visit.chosen("map", source, "cuts", default=WHOLE)
     if how == BY_TIME:
         first, last = (float(visit.chosen("map", source, one, default=0.0)) for one in _SPAN)
-        return replace(mapping, cuts=(Cut("manoeuvre", first, last),))
+        return {"cuts": (Cut("manoeuvre", first, last),)}
     if how == BY_COMMANDS:
         least, *around = (float(visit.chosen("map", source, n, default=1.0)) for n in _AROUND)
         least /= shown_unit(_departure_unit(problem))[0]
-        return replace(mapping, by_commands=CommandCuts(least, before=around[0], after=around[1]))
-    return mapping
+        return {"by_commands": CommandCuts(least, before=around[0], after=around[1])}
+    return {}
 
 
 def _departure_unit(problem: Problem) -> str:

@@ -231,11 +231,15 @@ def show(page: Report, pictures: Pictures, *, glance: bool = False) -> None:
         tabs(parts[:_SHOWN])
         del parts[:_SHOWN]
     if parts:
-        titles = [title.partition(":")[0].lower() for title, _ in parts]
-        others = f" and {len(titles) - _SHOWN} more" if len(titles) > _SHOWN + 1 else ""
-        named = titles[:_SHOWN] if others else titles
-        with st.expander(f"More: {', '.join(named)}{others}"):
+        with st.expander(_more([title.partition(":")[0].lower() for title, _ in parts])):
             tabs(parts)
+
+
+def _more(titles: list[str]) -> str:
+    """What an expander says of the tabs in it."""
+    if len(titles) <= _SHOWN + 1:
+        return f"More: {', '.join(titles)}"
+    return f"More: {', '.join(titles[:_SHOWN])} and {len(titles) - _SHOWN} more"
 
 
 def tabs(parts: Sequence[tuple[str, Callable[[], object]]]) -> None:

@@ -12,7 +12,7 @@ with the sign of :math:`\rho`. Angles of orders are whole degrees, as people giv
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -212,24 +212,13 @@ class TrialCard:
 
     def _orders(self) -> Section:
         """When each order begins, where it leads, and when it is reached; or the law of the run."""
-        run, times, inputs = self.experiment, self.trajectory.times, self.trajectory.inputs
+        run, times = self.experiment, self.trajectory.times
         if run.reacts and run.excitation is not None:
             return Section("RUN", [run.excitation.describe()], heading=True, indent=2)
-        found = []
-        for index, name in enumerate(self.model.input_names):
-            way = np.sign(np.diff(inputs[:, index]))
-            # A ramp within the rate limit is one order, not one for every sample.
-            begins = np.flatnonzero(np.diff(way, prepend=0.0))
-            said = ""
-            for first, after in pairwise([*begins, len(way)]):
-                # What reads as the order before, in whole degrees, is none.
-                if way[first] and (order := self._order(name, after)) != said:
-                    found.append((times[first + 1], times[after], order))
-                    said = order
+        found = sorted(one for name in self.model.input_names for one in self._ordered(name))
         if not found:
             words = ["no orders: leave all controls as they are"]
             return Section("RUN", words, heading=True, indent=2)
-        found.sort()
         begun = np.unique([begin for begin, _, _ in found])
         quick = float(np.diff(begun).min(initial=np.inf)) < BY_HAND
         rows = [(f"{begin:.6g}", order, f"{end:.6g}") for begin, end, order in found]
@@ -238,6 +227,18 @@ class TrialCard:
         by = "AUTOPILOT ONLY, orders come within 10 s: " if quick else "By hand, or better: "
         words = [f"{by}play the table of commands."]
         return Section("RUN", words, (table,), heading=True, indent=2)
+
+    def _ordered(self, name: str) -> Iterator[tuple[float, float, str]]:
+        """When each order of an input begins, when it is reached, and what it is."""
+        times, said = self.trajectory.times, ""
+        way = np.sign(np.diff(self.trajectory.inputs[:, self.model.input_names.index(name)]))
+        # A ramp within the rate limit is one order, not one for every sample.
+        begins = np.flatnonzero(np.diff(way, prepend=0.0))
+        for first, after in pairwise([*begins, len(way)]):
+            # What reads as the order before, in whole degrees, is none.
+            if way[first] and (order := self._order(name, after)) != said:
+                yield times[first + 1], times[after], order
+                said = order
 
     def _order(self, name: str, sample: int) -> str:
         """An order in words; an angle in whole degrees with the side that the vehicle goes to."""

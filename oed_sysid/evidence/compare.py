@@ -374,7 +374,7 @@ def _signals(model: Model, dataset: Dataset, prediction: Prediction) -> list[Sig
         Signal(one.name, one.unit, one.label, tuple(run[:, i] for run in runs), runs is inputs)
         for one, runs, i in channels
     )
-    return [one for one in found if all(np.isfinite(part).all() for part in one.series)]
+    return [one for one in found if np.isfinite(np.concatenate(one.series)).all()]
 
 
 def _runs(model: Model, dataset: Dataset, prediction: Prediction) -> Iterator[np.ndarray]:

@@ -258,14 +258,19 @@ def _result(
         location=location,
         remains=_whole(end.left, fits[-1], study.validation, log),
         yardstick=yardstick,
-        proposed=()
-        if end.proposals is None
-        else (proposed_term(end.proposals, steps[-1], state.replaced),),
+        proposed=_proposed(end, steps),
         notes=tuple(notes),
         log=log,
         last=end.last if steps else None,
         decisions=state.decisions,
     )
+
+
+def _proposed(end: Ended, steps: Sequence[Step]) -> tuple[dict[str, Any], ...]:
+    """The term that was looked for last, where one was added."""
+    if end.proposals is None:
+        return ()
+    return (proposed_term(end.proposals, steps[-1], end.state.replaced),)
 
 
 def _whole(left: Remains, fit: Fit, validation: Dataset | None, log: LogCheck | None) -> Remains:

@@ -243,10 +243,12 @@ def judged_row(
     """Whether a fault was tested, from which size on, or why it was not."""
     size, plausible = np.inf, 0.0
     if ended is not None:
-        own = ((f, v) for f, v in ended.seen if f.signals == (name,) and kind in _kinds_of(f))
-        size, plausible = min(
-            ((float(v), LARGEST * f.plausible) for f, v in own), default=(np.inf, 0.0)
+        sizes = (
+            (float(of), LARGEST * fault.plausible)
+            for fault, of in ended.seen
+            if fault.signals == (name,) and kind in _kinds_of(fault)
         )
+        size, plausible = min(sizes, default=(size, plausible))
     units = {"scale": "1", "delay": "s", "lost": "1", "rate": "1", "drift": f"{unit}/s"}
     of_size = kind not in READ and np.isfinite(size)
     shown = _size(size, units.get(kind, unit), ".1g") if of_size else ""

@@ -288,7 +288,7 @@ class NoiseModel:
         """
         coloured = np.flatnonzero(self.colour > 0) if coloured is None else coloured
         count, of_sea = len(self.force), [len(sea.places) for sea in self.seas]
-        at_places = (*self.places, *(place for sea in self.seas for place in sea.places))
+        at_places = sum((sea.places for sea in self.seas), self.places)
 
         def each(of_force: Any, *of_seas: Any) -> np.ndarray:
             return np.concatenate([np.broadcast_to(of_force, count), np.repeat(of_seas, of_sea)])

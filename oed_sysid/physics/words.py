@@ -80,15 +80,11 @@ def _factors(effect: Effect, labels: Mapping[str, str]) -> Counter[str] | None:
     products = terms(expressions.parse(*effect.terms.values()))
     if len(products) != 1 or products[0].below:
         return None
-    sizes = {one.name for one in effect.parameters}
     found: Counter[str] = Counter()
-    for node in products[0].above:
-        name, power = _power(node)
-        if name.strip("|") in labels:
-            found[name] += power
-        elif name not in sizes:
-            return None
-    return found
+    for name, power in map(_power, products[0].above):
+        found[name] += power
+    moving = Counter({name: n for name, n in found.items() if name.strip("|") in labels})
+    return moving if found.keys() - moving.keys() <= {p.name for p in effect.parameters} else None
 
 
 def _power(node: ast.expr) -> tuple[str, int]:

@@ -408,7 +408,7 @@ class _Turner:
             times, paths = self.turned(order)
             # Signs of rudders differ from log to log; the heading says to which side it turned.
             reached = "starboard" if paths[0, -1, 2] > paths[0, 0, 2] else "port"
-            if reached not in wanted or reached in turns:
+            if reached not in {*wanted} - turns.keys():
                 continue
             if len(self.table) > 1:
                 # Slower draws need longer than the fitted values do.

@@ -169,8 +169,8 @@ def chart_force_found(improvement: Improvement, dataset: Dataset) -> Chart:
         one.name: np.concatenate([draw.signal_of(record, one) for record in dataset])
         for one in dataset.channels.all
     }
-    used = [name for name in signals if step is not None and _moves(step.effect, name)]
-    name = clearest(located, equation, {n: signals[n] for n in used or signals})
+    moving = {} if step is None else {n: of for n, of in signals.items() if _moves(step.effect, n)}
+    name = clearest(located, equation, moving or signals)
     channel = next(one for one in dataset.channels.all if one.name == name)
     found = "" if step is None else step.added
     return chart_residual(located, equation, signals[name], draw.label(channel), name, found)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -165,9 +166,8 @@ def figure_check(found: LogCheck, *, n_shown: int = 3) -> Figure:
     names = found.records[:n_shown]
     n = len(found.balances)
     figure, axes = draw.new_figure(n, len(names), size=(1.2 + 3.4 * len(names), 0.6 + 1.9 * n))
-    for row, balance in zip(axes, found.balances, strict=True):
-        for ax, name in zip(row, names, strict=True):
-            plot_balance(balance, name, ax=ax)
+    for (balance, name), ax in zip(product(found.balances, names), axes.flat, strict=True):
+        plot_balance(balance, name, ax=ax)
     for ax, name in zip(axes[0], names, strict=True):
         ax.set_title(name, fontsize=10)
     for ax in axes[:-1].flat:

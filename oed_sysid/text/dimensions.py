@@ -18,7 +18,7 @@ spreads, so that only what can be derived is checked.
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
@@ -253,16 +253,19 @@ class _Walk:
     def _product(self, node: ast.BinOp) -> Dimension:
         product = Product()
         product.multiply(node)
-        known = self.numbers
-        form = self._numbers(
-            [factor for factor in product.above if id(factor) in known],
-            [factor for factor in product.below if id(factor) in known],
-        )
-        for factor in (factor for factor in product.above if id(factor) not in known):
+        (above, own), (below, divisors) = map(self._apart, (product.above, product.below))
+        form = self._numbers(above, below)
+        for factor in own:
             form = form * self.of(factor)
-        for factor in (factor for factor in product.below if id(factor) not in known):
+        for factor in divisors:
             form = form / self.of(factor)
         return form
+
+    def _apart(self, factors: Sequence[ast.expr]) -> tuple[list[ast.expr], list[ast.expr]]:
+        """Bare numbers, and all other factors."""
+        known = self.numbers
+        numbers = [factor for factor in factors if id(factor) in known]
+        return numbers, [factor for factor in factors if id(factor) not in known]
 
     def _power(self, node: ast.BinOp) -> Dimension:
         base = self.units.reduced(self.of(node.left))
