@@ -81,7 +81,12 @@ def gusts(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.array(values)
 
 
-ACTING = {"waves": waves, "resonator": resonator, "gusts": gusts}
+def swells(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Waves, and others of 2.5 times their period."""
+    return (waves(times, rng) + waves(times / 2.5, rng)) / np.sqrt(2)
+
+
+ACTING = {"waves": waves, "resonator": resonator, "gusts": gusts, "swells": swells}
 
 
 @cache
@@ -280,6 +285,44 @@ def test_a_sea_is_found_where_first_order_forces_went_astray() -> None:
     for name, value in one.truth.items():
         assert abs(fit.values[name] - value) < 3.5 * fit.std_errors[name]
         assert fit.std_errors[name] < 0.1 * abs(value)
+
+
+@pytest.mark.slow
+def test_levels_far_above_their_unit_end_where_they_are_likeliest() -> None:
+    """Variances twelve decades above where they began: from believed and true values, one end."""
+    scenario = SCENARIOS["drone_swell"]
+    one = simulate(scenario, 7000, [19])[0]
+    model = nominal_model("drone").with_values(believed(scenario))
+    data = dataset(scenario, model, one.runs)
+    fit = MultipleShooting().fit(model, data)
+    other = MultipleShooting().fit(model.with_values(one.truth), data)
+    for name, error in fit.std_errors.items():
+        assert abs(fit.values[name] - other.values[name]) < 0.02 * error
+
+
+def test_every_peak_of_the_test_is_a_period_to_begin_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two swells at once: both periods are tried, and the likelier end is the fit's."""
+    tried: list[list[float]] = []
+    ends: list[FilteredSolution] = []
+    periods, at_sea = random_forces._likely_periods, random_forces._at_sea
+
+    def kept(*given: object) -> list[float]:
+        tried.append(periods(*given))
+        return tried[-1]
+
+    def ended(*given: object) -> FilteredSolution:
+        ends.append(at_sea(*given))
+        return ends[-1]
+
+    monkeypatch.setattr(random_forces, "_likely_periods", kept)
+    monkeypatch.setattr(random_forces, "_at_sea", ended)
+    fit = MultipleShooting().fit(SHIP, records("swells", 0, 2 * LEVEL))
+    (found,) = tried
+    assert len(found) == 2
+    for period, peak in zip((PERIOD, 2.5 * PERIOD), found, strict=True):
+        assert abs(np.log(peak / period)) < 0.5 * np.log(random_forces.NEXT_PERIOD) + 0.1
+    best = min(ends, key=lambda one: one.restricted)
+    assert fit.noise.seas[0].period == pytest.approx(best.noise.seas[0].period, rel=0.05)
 
 
 def test_a_test_of_one_more_level_is_that_of_all_equations(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -301,7 +301,7 @@ def restricted(problem: Filtered, point: Point) -> Iterate:
     def derived() -> tuple[np.ndarray, np.ndarray]:
         matrix, right = _of_the_filter(problem, unknowns)
         # Smooth in the noise: a tenth of a standard deviation is a short step.
-        lengths = SHORT * differences(problem, matrix)
+        lengths = SHORT * differences(problem, matrix, unknowns)
         for index in range(levels.start, levels.stop):
             moved = unknowns.copy()
             moved[index] += lengths[index]
@@ -340,9 +340,12 @@ def _filtered(problem: Filtered, point: Point, cost: float, derive: Derive) -> I
     return Iterate(problem, point, cost, lambda _: equations())
 
 
-def differences(problem: Filtered, matrix: np.ndarray) -> np.ndarray:
+def differences(problem: Filtered, matrix: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
     """One standard deviation, others known, at most a scale; of what nothing tells, its scale."""
-    size, scale = np.diag(matrix) + problem.limits.prior_weight, problem.limits.scale
+    size, scale = np.diag(matrix) + problem.limits.prior_weight, problem.limits.scale.copy()
+    # Variances are often many decades above the unit in which they began.
+    levels = problem.layout.levels
+    scale[levels] = np.maximum(scale[levels], np.abs(unknowns[levels]))
     std = np.where(size > 0, 1.0 / np.sqrt(np.where(size > 0, size, 1.0)), scale)
     return np.minimum(std, scale)
 
@@ -354,7 +357,7 @@ def _of_the_filter(problem: Filtered, unknowns: np.ndarray) -> tuple[np.ndarray,
     """
     base = problem.passes(unknowns, rows=True, gains=True)
     frozen, right = problem.gathered(unknowns, base)
-    whole = problem.differentiated(unknowns, base, differences(problem, frozen))
+    whole = problem.differentiated(unknowns, base, differences(problem, frozen, unknowns))
     known = np.arange(problem.layout.levels.start)
     # A vehicle so unstable that moved filters overflow is one whose rounding is amplified.
     usable = all(np.isfinite(part).all() for part in whole)
@@ -772,7 +775,7 @@ def solve_filtered(
     if reason != "interrupted" and polish and (last := _polished(descent, polish)):
         # The exact gradient has the last word, whatever the frozen one ended with.
         near.append("iterations")
-        reason = last if last == "interrupted" else reason
+        reason = last if last in ("interrupted", "stalled") else reason
     if reason in near and descent.decrease < NEAR:
         reason = "converged"
     now, cost = descent.now, descent.now.cost

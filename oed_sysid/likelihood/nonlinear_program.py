@@ -280,7 +280,7 @@ def solve_innovations(
         unknowns = scaled * scale
         base = problem.passes(unknowns, rows=True, gains=True)
         # A program needs the slope of its cost, not the one that holds over a standard error.
-        moved = NEAR * differences(problem, problem.gathered(unknowns, base)[0])
+        moved = NEAR * differences(problem, problem.gathered(unknowns, base)[0], unknowns)
         equations = problem.differentiated(unknowns, base, moved)
         matrix, right = limits.with_priors(*equations, unknowns)
         told = constrained_by(unknowns)[1] * scale

@@ -606,8 +606,9 @@ def with_sea(
 ) -> FilteredSolution:
     """Take a sea for what disturbs the vehicle where the records show one, or one is declared.
 
-    Of a declared one what it leaves out is estimated; a period that is left out is that of the
-    largest test.
+    Of a declared one what it leaves out is estimated. A period that is left out is that of the
+    likeliest of several ends, one for each peak of the test: with forces of first order a natural
+    period of the vehicle may have moved onto the waves, and what is left then has the vehicle's.
 
     Parameters
     ----------
@@ -627,11 +628,12 @@ def with_sea(
     if known is None or found.noise.seas:
         return found
     places = known.places or setting.at_sea
-    period = known.period or _likeliest_period(found, setting, places)
-    if not (places and period):
+    tried = [known.period] if known.period else _likely_periods(found, setting, places)
+    if not (places and tried):
         return found
-    sea = known.filled(_calm(places, period))
-    best = _at_sea(found, setting, sea, known, begin or (found,)).finite
+    seas = (known.filled(_calm(places, period)) for period in tried)
+    ends = [_at_sea(found, setting, sea, known, begin or (found,)) for sea in seas]
+    best = min(ends, key=lambda one: one.restricted).finite
     if best is None:
         return found
     if setting.seas:
@@ -661,13 +663,13 @@ def _clearly_a_sea(sea: FilteredSolution, found: FilteredSolution, setting: Sett
     return False
 
 
-def _likeliest_period(
+def _likely_periods(
     found: FilteredSolution, setting: Setting, places: Sequence[str]
-) -> float | None:
-    """Period of the largest test, s; None where no sea is declared and none shows."""
+) -> list[float]:
+    """Periods at which the test has a peak, s; none where no sea is declared and none shows."""
     tried = periods(found) if places else []
     if not tried:
-        return found.problem.records[0].duration / 8 if setting.seas else None
+        return [found.problem.records[0].duration / 8] if setting.seas else []
     sample = max(record.sample_time for record in found.problem.records)
     scored = cache(lambda count: _Scored.at(found, sample / count))
     own, names = _own_times(found, found.noise), [f"sea {place} level" for place in places]
@@ -682,10 +684,14 @@ def _likeliest_period(
         return scored(max(steps, 1)).gain(wide, names)[0]
 
     shown = _in_spectrum(found, [_calm(places, one) for one in tried])
-    asked = list(compress(tried, shown | bool(setting.seas)))
-    gains = [gain(one) for one in asked]
-    shows = max(gains, default=0.0) >= threshold(len(places), len(tried))
-    return asked[int(np.argmax(gains))] if setting.seas or shows else None
+    asked = shown | bool(setting.seas)
+    gains = np.array([gain(one) if ask else 0.0 for one, ask in zip(tried, asked, strict=True)])
+    beside = np.pad(gains, 1)
+    peaks = (gains > beside[:-2]) & (gains >= beside[2:])
+    shows = gains >= threshold(len(places), len(tried))
+    if setting.seas and not (peaks & shows).any():
+        return [tried[int(np.argmax(gains))]]
+    return list(compress(tried, peaks & shows))
 
 
 def _in_spectrum(found: FilteredSolution, calm: Sequence[Sea]) -> np.ndarray:
