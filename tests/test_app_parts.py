@@ -246,8 +246,9 @@ def test_saved_fit_and_exports_are_the_fit(outcome: Outcome, tmp_path: Path) -> 
 def test_problem_folder_carries_records_and_fits(
     study: Study, outcome: Outcome, tmp_path: Path
 ) -> None:
-    """The folder opens as the same problem, its records and fits beside it."""
-    fits = takeaway.fits_of([(Asked("Fit", "fit", ""), outcome)])
+    """The folder opens as the same problem, its records and fits beside it; so does everything."""
+    done = [(Asked("Fit", "fit", ""), outcome)]
+    fits = takeaway.fits_of(done)
     with zipfile.ZipFile(io.BytesIO(takeaway.problem_archive(study, fits))) as packed:
         packed.extractall(tmp_path)
     folder = tmp_path / study.problem.name
@@ -255,6 +256,9 @@ def test_problem_folder_carries_records_and_fits(
     assert problem.model.equations() == study.problem.model.equations()
     assert read_csv(folder / "train", problem.channels).names == study.training().names
     assert Fit.load(folder / "nominal.json").names == outcome.result.names
+    takeaway.write_all(study, done, tmp_path / "all")
+    written = {file.name for file in (tmp_path / "all").iterdir()}
+    assert {"train", "study.py", "commands.sh", "nominal.json"} <= written
 
 
 def script(study: Study, asked: dict[str, dict]) -> str:

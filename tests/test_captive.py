@@ -246,30 +246,6 @@ def test_intervals_of_captive_tests_hold_the_truth(noise: str) -> None:
     assert np.mean(held) == pytest.approx(0.95, abs=0.04)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("settings", [{}, {"horizon": 10.0}])
-def test_intervals_hold_beside_records_and_with_noise_above_the_declared(settings: dict) -> None:
-    """Tests that scatter up to four times as much as declared, with a zigzag, 60 times."""
-    held = []
-    tests = drift_series(quadratic=0.0)
-    v = tests.motions["v"]
-    order = ZigZag("delta", 0.2, 0.1, sign=-1)
-    run = Experiment("zigzag", order, duration=60.0, sample_time=0.2)
-    for seed in range(60):
-        rng = np.random.default_rng(1000 + seed)
-        drawn = {
-            axis: f + (0.1 + 0.8 * np.abs(v)) * rng.standard_normal(60)
-            for axis, f in forces(v, tests.inputs["delta"]).items()
-        }
-        again = CaptiveTests("carriage", tests.motions, tests.inputs, drawn, tests.noise)
-        data = Dataset((simulate(ship().with_values(TRUTH), run, rng=rng),))
-        fit = again.fit(MultipleShooting(**settings), ship(), data)
-        for name, true in TRUTH.items():
-            low, high = fit.interval(name)
-            held.append(low <= true <= high)
-    assert np.mean(held) == pytest.approx(0.95, abs=0.03)
-
-
 def test_a_saved_fit_of_captive_tests_knows_that_they_are(tmp_path: Path) -> None:
     """Files keep that samples are independent."""
     fit = drift_series().fit(MultipleShooting(), ship())

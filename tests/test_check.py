@@ -32,7 +32,7 @@ from scipy.signal import lfilter
 from yaw_vehicle import yaw_data, yaw_model
 
 from benchmarks.spoilt_logs import COPIES as SPOILS
-from benchmarks.spoilt_logs import hidden_effect_cases, named_as, spoil
+from benchmarks.spoilt_logs import named_as, spoil
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.evidence import inputs
 from oed_sysid.evidence.check import (
@@ -481,19 +481,6 @@ def test_beside_fast_answers_faults_are_found() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("vehicle", "colour"), [(DIVER, 0.0), (SHIP, 0.0), (DIVER, 0.8), (SHIP, 0.8)]
-)
-def test_clean_logs_raise_no_alarm(vehicle, colour: float) -> None:  # type: ignore[no-untyped-def]
-    """At most one of forty clean logs is called suspect."""
-    alarms = 0
-    for seed in range(40):
-        data = log(vehicle, seed=(21, seed), colour=colour)
-        alarms += check(data, vehicle.model, inputs=False).suspect
-    assert alarms <= 1
-
-
-@pytest.mark.slow
 def test_intervals_hold() -> None:
     """Of forty fitted biases and lever arms at least 34 lie in their 95 % interval."""
     held = 0
@@ -511,29 +498,6 @@ def test_intervals_hold() -> None:
 needs_data = pytest.mark.skipif(
     not (DATA / "hidden_effects").is_dir(), reason="third-party data is not here"
 )
-
-
-@pytest.mark.slow
-@needs_data
-def test_spoilt_copies_of_hidden_effect_records_are_named() -> None:
-    """All fifteen spoilt copies of another simulator's records are named exactly."""
-    problem, data = hidden_effect_cases()["case_010"]
-    missed = [n for n in SPOILS if not named_as(check(spoil(data, n), problem), n)]
-    assert not missed
-
-
-@pytest.mark.slow
-@needs_data
-def test_hidden_physics_is_no_fault_of_the_log() -> None:
-    """Of fourteen cases only the two with sensor effects are suspect, with the right sizes."""
-    found = {n: check(data, problem) for n, (problem, data) in hidden_effect_cases().items()}
-    assert {n for n, one in found.items() if one.suspect} == {"case_007", "case_008"}
-    bias = found["case_007"].serious[0]
-    assert bias.interval is not None
-    assert bias.interval[0] < 0.006419 < bias.interval[1]
-    turned = found["case_008"].serious[0]
-    assert abs(abs(turned.size or 0.0) - 0.03895) < 0.001
-    assert "misalignment" in " ".join((turned.kind, *turned.alternatives))
 
 
 @pytest.mark.slow

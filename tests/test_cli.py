@@ -114,15 +114,6 @@ def test_problems_lists_and_describes(ferry: Path, tmp_path: Path, capsys) -> No
     assert "remus_diving_plane" in capsys.readouterr().out
 
 
-def test_new_folder_can_be_used_at_once(tmp_path: Path, capsys) -> None:
-    """The starter folder is a problem that loads, and an existing one is not overwritten."""
-    folder = tmp_path / "my_vehicle"
-    assert main(["new", str(folder)]) == DONE
-    assert main(["problems", str(folder)]) == DONE
-    assert "my_vehicle" in capsys.readouterr().out
-    assert main(["new", str(folder)]) == BAD_INPUT
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -534,15 +525,6 @@ def test_other_files_are_refused_in_words(
     assert "Traceback" not in said
     assert str(ship / kind) in said or Path(kind).name in said
     assert "--save" in said or "folder" in said
-
-
-def test_numbers_of_a_fit_are_reported_without_pictures(ship: Path, tmp_path: Path) -> None:
-    """`report` reads what `fit --json` wrote as well, as a page of numbers."""
-    page = tmp_path / "numbers.html"
-    numbers = ship / "fit_numbers.json"
-    assert main(["report", str(numbers), "--out", str(page), "--quiet"]) == DONE
-    value = json.loads(numbers.read_text())["parameters"][0]["value"]
-    assert f"{value:.4g}"[:5] in page.read_text(encoding="utf-8")
 
 
 def test_saved_model_of_another_vehicle_is_refused(ship: Path, tmp_path: Path, capsys) -> None:

@@ -183,19 +183,6 @@ def test_header_behind_a_mark_of_remarks(tmp_path: Path) -> None:
         read_csv(written(tmp_path, rows(), "# trial, calm water, north"), SHIP)
 
 
-def test_wrapped_angle_is_said_in_units_of_the_file(tmp_path: Path) -> None:
-    """A heading in degrees that jumps names the row, the column and both values in degrees."""
-    lines = [f"{0.5 * i},0,{(350 + 4 * i) % 360}" for i in range(90)]
-    path = written(tmp_path, lines, "t [s],delta [rad],psi [deg]")
-    with pytest.raises(DataError) as caught:
-        read_csv(path, SHIP)
-    said = str(caught.value)
-    assert "Column 'psi [deg]' of log.csv jumps by a full turn once in row 5" in said or (
-        "Column 'psi [deg]' of log.csv jumps by a full turn 2 times, first in row 5" in said
-    )
-    assert "from 358 to 2 deg. The angle is wrapped: declare Output(" in said
-
-
 def test_slips_in_names(tmp_path: Path) -> None:
     """A column that is spelt almost as a channel is offered; another channel's is not."""
     with pytest.raises(

@@ -713,14 +713,6 @@ def test_hidden_damping_is_found_and_explains_the_records() -> None:
     assert SHIP.effect_names == ()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("seed", "force"), [(20, 0.0), (21, 0.0), (22, 0.02), (23, 0.02)])
-def test_nothing_is_claimed_where_nothing_is_missing(seed: int, force: float) -> None:
-    """A right model stays as it is, under white noise and under disturbance forces."""
-    train, validation = (dataset(one, force=force) for one in (seed, seed + 50))
-    assert improve(SHIP, train, validation, candidates=CANDIDATES).verdict == "nothing_missing"
-
-
 def test_forces_act_only_where_they_are_let_in() -> None:
     """Levels of forces that are ruled out stay zero; places named are estimated."""
     levels = {}

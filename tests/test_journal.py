@@ -79,17 +79,6 @@ def test_killed_command_ends_with_the_same_result() -> None:
     assert found.kills == 2
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("command", ["design", "improve"])
-def test_twenty_kills(command: str) -> None:
-    """The same commands as in the documents, killed up to twenty times, as long as they last."""
-    from benchmarks.killed import COMMANDS
-
-    found = killed(COMMANDS[command], kills=20, rng=np.random.default_rng(2))
-    assert found.ok
-    assert found.kills > 4
-
-
 def test_torn_and_planted_steps_are_done_again(tmp_path: Path) -> None:
     """A step that is cut short, or was written by somebody else, is never unpickled."""
     journal_of(tmp_path).once("number", lambda: 1.5)

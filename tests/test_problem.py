@@ -19,7 +19,7 @@ from oed_sysid.errors import ProblemError
 from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.usual import settled
 from oed_sysid.experiments import catalogue
-from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.problem import Problem, list_problems, load_problem, new_problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.experiments.starter import TEMPLATES
@@ -27,7 +27,6 @@ from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics import (
     Force,
     Parameter,
-    Sensor,
     diving_plane_effects,
     sensor_bias,
     surface_ship_effects,
@@ -124,35 +123,11 @@ def test_unknown_name_gets_near_matches_and_advice(shipped: Path) -> None:
         load_problem("/no/where")
 
 
-def test_folder_or_file_without_problem(tmp_path: Path) -> None:
-    """What is there instead is said."""
+def test_a_file_is_no_folder(tmp_path: Path) -> None:
+    """What the path leads to is said."""
     (tmp_path / "run.csv").write_text("t [s]\n")
-    with pytest.raises(ProblemError, match=r"has no problem\.py; it holds run\.csv"):
-        load_problem(tmp_path)
     with pytest.raises(ProblemError, match="is a file"):
         load_problem(tmp_path / "run.csv")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("x = 1\ny = x / 0\n", r"problem\.py, line 2: ZeroDivisionError: division by zero"),
-        ("import oed_sysid\n\nx = (\n", r"problem\.py, line 3: .*never closed"),
-        ("import no_such_thing_here\n", r"problem\.py, line 1: ModuleNotFoundError"),
-        (SOURCE.replace('"(rudder/T', '"(ruder/T'), r"line 3: ModelError: .*ruder"),
-        (SOURCE.replace('"barge", model', '"a barge", model'), r"line 7: Problem name 'a barge'"),
-        (SOURCE.replace("problem =", "barge ="), r"a Problem called 'barge': rename it"),
-        ("problem = 3\n", r"its 'problem' is a int"),
-        ("x = 1\n", r"it defines x"),
-    ],
-)
-def test_faults_are_reported_with_file_and_line(tmp_path: Path, text: str, message: str) -> None:
-    """A user sees the line in the own file, not the inside of the package."""
-    with pytest.raises(ProblemError, match=message) as caught:
-        load_problem(write(tmp_path / "p", text))
-    error = caught.value
-    assert error.__cause__ is None
-    assert error.__context__ is None or error.__suppress_context__
 
 
 def test_variants_change_what_is_believed() -> None:
@@ -165,36 +140,6 @@ def test_variants_change_what_is_believed() -> None:
     assert problem.variant("default") is problem
     with pytest.raises(ProblemError, match="Did you mean 'with_drag'"):
         problem.variant("with_drug")
-
-
-def test_variant_by_load_problem(tmp_path: Path) -> None:
-    """load_problem takes the name of a variant."""
-    text = SOURCE.replace(
-        'Problem("barge", model)', 'Problem("barge", model, models={"big": model})'
-    )
-    folder = write(tmp_path / "p", text)
-    assert load_problem(folder, variant="big").model.name == "barge"
-    with pytest.raises(ProblemError, match="It has default, big"):
-        load_problem(folder, variant="small")
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"effects": (DRAG, DRAG)}, "two candidates called 'drag'"),
-        ({"effects": (Sensor("s", {"q": "q"}, ()),)}, "candidate 's' does not fit"),
-        ({"truth": {"L": 1.0}}, "parameter 'L'"),
-        ({"limits": Limits(signals={"depth": (0, 1)})}, "'depth'"),
-        ({"experiments": {"a": Experiment("a", duration=1.0)}}, "nothing about the input"),
-        ({"models": {"default": MODEL.with_values({"K": 1.0})}}, "two default models"),
-    ],
-)
-def test_parts_have_to_fit(settings: dict, message: str) -> None:
-    """Contradictions between the parts are found at construction."""
-    with pytest.raises(ProblemError, match=message):
-        Problem("tug", MODEL, **settings)
-    with pytest.raises(ProblemError, match="contains already"):
-        Problem("tug", MODEL + DRAG, effects=(DRAG,))
 
 
 def test_a_list_of_candidates_leaves_out_what_a_model_lacks() -> None:

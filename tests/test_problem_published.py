@@ -13,7 +13,6 @@ from benchmarks.documents.published import paper
 from benchmarks.documents.published.sailboat import errors, exact, gibbs, in_errors
 from oed_sysid import Dataset, Record, load_problem, simulate, simulate_inputs
 from oed_sysid.baselines import (
-    DifferentialSwarm,
     EquationError,
     EquationStream,
     HeadingDifferences,
@@ -388,16 +387,3 @@ def test_forces_against_a_hand_calculation() -> None:
     rates = (run.states[1] - run.states[0]) / h
     found = [rates[0], -rates[1], rates[2]]
     assert found == pytest.approx(expected, rel=1e-3, abs=1e-4)
-
-
-@pytest.mark.slow
-def test_small_swarm_goes_the_right_way() -> None:
-    """A short search lowers the misfit by orders of magnitude and lands near strong parameters."""
-    fit = DifferentialSwarm(n_particles=40, n_generations=150, initial=START).fit(
-        PROBLEM_TORPEDO.model, SCRIPT_TORPEDO.data(0.0, 0)
-    )
-    history = fit.extras["history"]
-    assert history[-1] < 1e-2 * history[0]
-    found = SCRIPT_TORPEDO.errors(fit)
-    assert found["m_z_omega"] < 5.0
-    assert found["C_x"] < 10.0

@@ -299,36 +299,6 @@ def test_inputs_whose_log_shows_no_noise_leave_the_numbers_finite() -> None:
     assert np.isfinite(fit.noise.force).all()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("colour", [0.0, 0.85])
-def test_levels_are_found_on_average(colour: float) -> None:
-    """Undeclared white levels come out within a tenth; a coloured sensor is seen as such."""
-    model = replace(
-        SHIP,
-        outputs=(Output("psi", "rad", "heading"), Output("r", "rad/s", "yaw rate")),
-        states=(State("psi", "rad"), State("r", "rad/s", scale=0.1)),
-    )
-    sensors, force = [], []
-    for seed in range(8):
-        data = Dataset(
-            [replace(r, channels=model.channels) for r in dataset(
-                300 + seed, n_records=3, force=FORCE, colour=colour
-            )]
-        )  # fmt: skip
-        fit = MultipleShooting(disturbances="all").fit(model, data)
-        assert fit.noise is not None
-        sensors.append(fit.noise.sensors)
-        # A level is one whatever process it is of.
-        force.append(
-            max(fit.noise.level("force r")[0], *(s.levels["force r"] for s in fit.noise.seas), 0.0)
-        )
-    mean = np.sqrt(np.mean(np.square(sensors), axis=0))
-    np.testing.assert_allclose(mean, NOISE, rtol=0.1 if colour == 0 else 0.25)
-    assert np.sqrt(np.mean(np.square(force))) == pytest.approx(
-        FORCE, rel=0.1 if colour == 0 else 0.3
-    )
-
-
 TRUE = {"K": 0.3, "T": 4.0, "a": 1.5}
 NOISE_INPUTS = np.array([0.002, 0.003])
 BOAT = Model(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 import warnings
 from collections.abc import Callable
@@ -112,8 +111,9 @@ CONTENT: dict[str, tuple[Callable[[dict], None], str]] = {
     "no fields": (changed(F, to=...), "without fields"),
     "fields as a list": (changed(F, to=[1]), "without fields"),
     "field removed": (changed(F, "sigma", to=...), "without its sigma"),
-    "field of a future version": (changed(F, "charm", to=1.0), "'charm'"),
+    "field of a future version": (changed(F, "charm", to=1.0), "does not know"),
     "array as text": (changed(F, "estimates", to="abc"), "'abc'"),
+    "field without a default removed": (changed(F, "covariance", to=...), "make it again"),
     "array as null": (changed(F, "covariance", to=None), "covariance"),
     "array cut": (changed(F, "estimates", "array", to=[1.0]), "1 numbers for an array"),
     "array of text": (changed(F, "estimates", "array", to=["x", 1, 2]), "something else in it"),
@@ -392,38 +392,14 @@ def test_the_file_is_an_old_one() -> None:
     assert not fields.keys() & {"noise", "noise_std", "innovations", "start_states"}
 
 
-NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
-
-
-def test_numbers_and_report_are_those_of_the_time(old: Fit, numbers: dict[str, Any]) -> None:
-    """Values, errors, likelihood and every line of the report are the same."""
+def test_numbers_are_those_of_the_time(old: Fit, numbers: dict[str, Any]) -> None:
+    """Values, errors and likelihood are those that the version which made it printed."""
     assert old.values == numbers["values"]
     assert old.std_errors == pytest.approx(numbers["std_errors"], rel=1e-12)
     assert old.log_likelihood == pytest.approx(numbers["log_likelihood"], rel=1e-12)
     assert old.aic == pytest.approx(numbers["aic"], rel=1e-12)
     assert old.n_unknowns == numbers["n_unknowns"]
     assert old.rms == pytest.approx(numbers["rms"], rel=1e-12)
-    angles = {}
-    since = ("one step", "whole runs")
-    lines = [line for line in old.report().splitlines() if not line.strip().startswith(since)]
-    for now, then in zip(lines, numbers["report"].splitlines(), strict=True):
-        output = then.split()[:1]
-        if then.endswith(("  rad", "rad/s")) and output[0] in old.model.output_names:
-            # Angles were printed in radians then, and are in degrees now.
-            angles[output[0]] = [
-                (float(a), float(b))
-                for a, b in zip(now.split()[1:3], then.split()[1:3], strict=True)
-            ]
-            assert now.split()[3:] == then.replace("rad", "deg").split()[3:]
-        elif output != ["output"]:
-            # Digits follow the uncertainty now: words are the same, numbers within its last digit.
-            then = then.replace("+/-", "±").replace(" x ", " × ")
-            assert NUMBER.sub("#", now).split() == NUMBER.sub("#", then).split()
-            for a, b in zip(NUMBER.findall(now), NUMBER.findall(then), strict=True):
-                assert float(a) == pytest.approx(float(b), rel=0.05)
-    assert set(angles) == {"psi", "r"}
-    for degrees, radians in (pair for pairs in angles.values() for pair in pairs):
-        assert degrees == pytest.approx(np.degrees(radians), rel=0.01)
 
 
 def test_what_is_new_has_a_meaning_for_it(old: Fit, tmp_path: Path) -> None:
@@ -490,21 +466,6 @@ def test_nothing_is_decided_by_extras() -> None:
         if ".extras" in path.read_text(encoding="utf-8")
     ]
     assert readers == []
-
-
-@pytest.mark.parametrize(
-    ("change", "words"), [("add", "does not know"), ("remove", "make it again")]
-)
-def test_what_cannot_be_read_says_what_to_do(tmp_path: Path, change: str, words: str) -> None:
-    """Unknown fields are those of a newer version; missing ones without default need a new fit."""
-    content = json.loads(OLD_FITS.read_text(encoding="utf-8"))
-    if change == "add":
-        content["fit"]["fields"]["colour_of_the_ship"] = "red"
-    else:
-        del content["fit"]["fields"]["covariance"]
-    (tmp_path / "fit.json").write_text(json.dumps(content), encoding="utf-8")
-    with pytest.raises(DataError, match=words):
-        Fit.load(tmp_path / "fit.json")
 
 
 @pytest.mark.parametrize("old", MOVED)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from altered import overwritten
 from vehicles import DIVING_START, remus
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model
 
-from oed_sysid import Actuator, Dataset, Memory, Model, Output, Parameter, Record, simulate_inputs
-from oed_sysid.errors import DataError, ModelError
+from oed_sysid import Actuator, Dataset, Memory, Model, Parameter, Record, simulate_inputs
 from oed_sysid.likelihood.gauss_newton import exact
 from oed_sysid.likelihood.shooting import Shooting
 
@@ -151,17 +148,3 @@ def test_intervals_follow_the_sample_times() -> None:
         assert starts[0] == 0
         assert 5.0 < np.median(lengths) < 15.0
     assert Shooting(yaw_model(), data, NOISE, interval=np.inf).interval_counts == (1, 1, 1)
-
-
-@pytest.mark.parametrize("interval", [0.0, -1.0, np.nan])
-def test_a_nonsensical_interval_is_refused(interval: float) -> None:
-    """A shooting interval has a positive length."""
-    with pytest.raises(ModelError, match="positive length"):
-        Shooting(yaw_model(), yaw_data(), NOISE, interval=interval)
-
-
-def test_other_channels_are_refused() -> None:
-    """A record of other outputs than the model's is an error that names both."""
-    model = replace(yaw_model(), outputs=(Output("r", "rad/s"),))
-    with pytest.raises(DataError, match="Read it with the model's channels"):
-        Shooting(model, yaw_data(), NOISE[:1])

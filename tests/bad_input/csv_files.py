@@ -376,7 +376,7 @@ REFUSED: tuple[tuple[str, str | bytes, tuple[str, ...]], ...] = (
      table(("t [s]", *(f"c{i} [m]" for i in range(2000))), [[f"{i}"] * 2001 for i in range(6)]),
      ("no column 'rudder'", "and 1971 more")),
     ("compass that crosses north", column(2, lambda i, x: f"{(350 + 4 * i) % 360}"),
-     ("jumps by a full turn", "wrap=True")),
+     ("jumps by a full turn", "from 358 to 2 deg. The angle is wrapped: declare Output(", "wrap=True")),
 )  # fmt: skip
 
 NOTED: tuple[tuple[str, str | bytes, tuple[str, ...]], ...] = (
