@@ -13,7 +13,6 @@ from bad_input.problem_files import REFUSED, SOUND
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
 from oed_sysid import check, diagnose, improve, simulate, turning_circle, usual_effects
-from oed_sysid.cli import BAD_INPUT, main
 from oed_sysid.data.dataset import Dataset, Record, read_csv
 from oed_sysid.errors import DataError, ModelError, OedSysidError, ProblemError
 from oed_sysid.experiments import manoeuvres as m
@@ -289,12 +288,6 @@ def test_numbers_of_numpy_are_numbers() -> None:
     assert parameter.magnitude == 2
     assert Output("y", "m", noise_std=np.float64(0.1)).noise_std == 0.1
     assert Limits(rates={"a": np.float64(0.1)}).rates == {"a": 0.1}
-
-
-def test_design_of_no_duration(capsys: pytest.CaptureFixture[str]) -> None:
-    """A duration of zero on the command line is not taken for one that was not given."""
-    assert main(["design", "remus_diving_plane", "--duration", "0"]) == BAD_INPUT
-    assert "ten samples or more" in capsys.readouterr().err
 
 
 def write(folder: Path, source: str | dict[str, str | bytes]) -> Path:

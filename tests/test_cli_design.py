@@ -43,30 +43,6 @@ def test_design_keeps_limits_and_beats_the_zigzags(ship: Path, tmp_path: Path, c
     assert all(reference["mean_gain"] > 1.0 for reference in result["references"])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--criterion", "Q"], "has D, A, E"),
-        (["--family", "sines"], "has levels"),
-        (["--avoid", "0.1:0.2"], "add --family multisine"),
-        (["--family", "multisine", "--avoid", "0.1"], "write bands as 0.1:0.2"),
-        (["--effort", "huge"], "has quick"),
-        (["--like", "spiral"], "no experiment 'spiral'"),
-        (["--discriminate", "wind"], "no candidate 'wind'"),
-        (["--detect", "wind"], "no candidate 'wind'"),
-        (["--discriminate", "a", "--detect", "b"], "one run has one aim"),
-        (["--overrides", "o.csv"], "needs the channels"),
-        (["--controller", "ardupilot=o.lua"], "needs the channels"),
-        (["--controller", "plc=o.txt"], "write KIND=FILE"),
-        (["--overrides", "o.csv", "--servo", "fin=1"], "an input with a range: rudder"),
-    ],
-)
-def test_design_names_what_there_is(arguments: list[str], words: str, ship: Path, capsys) -> None:
-    """A wrong choice is answered with the right ones."""
-    assert main(["design", str(ship), *arguments]) == BAD_INPUT
-    assert words in capsys.readouterr().err
-
-
 def test_limits_in_words_of_the_trade_and_files_for_those_on_board(
     ship: Path, tmp_path: Path, capsys
 ) -> None:
@@ -186,28 +162,6 @@ def test_campaign_goes_on_until_enough_is_known(ship: Path, tmp_path: Path, caps
     assert len(json.loads((folder / "journal.json").read_text())["records"]) == len(actions)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["programme", "{ship}"], "--hours and --runs"),
-        (["programme", "{ship}", "--runs", "2", "--sea", "wild"], "Say still"),
-        (["programme", "{ship}", "--runs", "2", "--criterion", "Q"], "has D, A"),
-        (["programme", "{ship}", "--runs", "2", "--sensor", "r"], "write NAME=NUMBER"),
-        (["campaign", "{folder}"], "Begin one with --problem"),
-        (["campaign", "{folder}", "--problem", "{ship}", "--goal", "all=x"], "write NAME=NUMBER"),
-    ],
-)
-def test_what_is_missing_is_named(
-    arguments: list[str], words: str, ship: Path, tmp_path: Path, capsys
-) -> None:
-    """A wrong choice is answered with the right ones."""
-    filled = [one.format(ship=ship, folder=tmp_path / "trial") for one in arguments]
-    if filled[0] == "programme":
-        filled += ["--patterns", "zigzag_10_10", "--duration", "60", "--rounds", "0"]
-    assert main(filled) == BAD_INPUT
-    assert words in capsys.readouterr().err
-
-
 HIDDEN = "yaw_quadratic_damping"
 
 
@@ -254,13 +208,6 @@ def test_compare_judges_models_on_untouched_records(ship: Path, tmp_path: Path, 
     assert models[f"with rudder_offset and {HIDDEN}"]["relative"] < 1.2
     assert f"Closest: with {HIDDEN}" in capsys.readouterr().out
     assert "turning_circle" in page.read_text(encoding="utf-8")
-
-
-def test_compare_refuses_an_unknown_candidate(ship: Path, capsys) -> None:
-    """A misspelt candidate is answered with the nearest one."""
-    arguments = ["compare", str(ship), *split(ship), "--with", "yaw_quadratic_dampin"]
-    assert main(arguments) == BAD_INPUT
-    assert f"Did you mean {HIDDEN!r}?" in capsys.readouterr().err
 
 
 def test_diagnose_locates_and_ranks_without_adding(ship: Path, tmp_path: Path, capsys) -> None:

@@ -255,12 +255,6 @@ def test_limits_are_parsed_as_options(given: list[str], limit: str) -> None:
         assert not [name for name in context.params if name.startswith("limit_")]
 
 
-def test_unknown_limit_is_an_unknown_option(capsys) -> None:
-    """A channel that the vehicle does not have is no option; the nearest ones are named."""
-    assert main(["design", "auv_diving_plane", "--max-finn", "10"]) == BAD_INPUT
-    assert "--max-fin" in capsys.readouterr().err.replace("--max-finn", "")
-
-
 # -- the shell ---------------------------------------------------------------------------
 
 
