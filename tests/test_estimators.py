@@ -259,8 +259,9 @@ def test_initial_state_of_a_known_model(start: str) -> None:
     assert fit.status.ok
     assert fit.names == ()
     assert fit.covariance.shape == (0, 0)
+    assert fit.normalised_rms == pytest.approx(1.0, abs=0.1)
     assert fit.initial_states[0][0] == pytest.approx(expected, rel=1e-5)
-    assert "decay" in fit.report()
+    assert "initial states only" in fit.report()
 
 
 CHANNELS = Channels((), (Output("y", "m", "level"),))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -240,18 +239,3 @@ def test_search_needs_bounds() -> None:
     parameter = replace(YAW.parameter("N_r"), lower=-np.inf)
     with pytest.raises(ModelError, match="N_r have no finite bounds"):
         DifferentialSwarm().fit(YAW.with_parameter(parameter), yaw_data(0))
-
-
-@pytest.mark.slow
-def test_large_swarm_is_quick() -> None:
-    """100 particles, 300 generations, 1,000 samples: 15 s on two cores, 30 s of processor time."""
-    problem = load_problem("auv_diving_plane")
-    experiment = replace(problem.experiment("zigzag_5_5"), duration=499.5)
-    data = Dataset((simulate(problem.model, experiment, noise=False),))
-    assert data.n_samples == 1000
-    model = bounded(problem.model, 0.2, 3.0)
-    swarm = DifferentialSwarm(n_particles=100, n_generations=300)
-    began = time.process_time()  # other work on the machine does not count
-    fit = swarm.fit(model, data)
-    assert time.process_time() - began < 30.0
-    assert fit.extras["history"][-1] < 1e-3 * fit.extras["history"][0]

@@ -686,6 +686,7 @@ def test_an_equation_beside_process_noise_is_one_parameter_less() -> None:
     assert tied.values["K"] == pytest.approx(0.1 * tied.values["T"], rel=1e-6)
     error = own.std_errors["T"]
     assert tied.values["T"] == pytest.approx(own.values["T"], abs=0.3 * error)
+    assert tied.std_errors["T"] == pytest.approx(error, rel=0.1)
     assert [one.text for one in tied.binding] == ["K == 0.1*T"]
 
 
@@ -702,14 +703,3 @@ def test_a_path_beside_process_noise_is_kept_within_its_limit() -> None:
     for name, error in free.std_errors.items():
         assert kept.values[name] == pytest.approx(free.values[name], abs=3.0 * error)
     assert kept.binding[0].text.startswith("r <=")
-
-
-@pytest.mark.slow
-def test_errors_beside_process_noise_hold_with_a_true_equation() -> None:
-    """Of forty data sets 95 % intervals hold the truth in all but a few."""
-    solver = Solver("ipopt", constraints=("K == 0.1*T",))
-    held = []
-    for seed in range(40):
-        fit = MultipleShooting(solver=solver).fit(YAW, two(seed))
-        held.append(abs(fit.values["T"] - 3.0) < 1.96 * fit.std_errors["T"])
-    assert sum(held) >= 33

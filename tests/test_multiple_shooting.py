@@ -140,15 +140,6 @@ def test_fixed_parameters_stay_and_others_follow() -> None:
     assert fit.model.values["T"] == 9.0
 
 
-def test_no_free_parameter_still_gives_states() -> None:
-    """A model with nothing to estimate is still compared with the data, initial states free."""
-    fit = ESTIMATOR.fit(yaw_model().fix("K", "T", "alpha"), yaw_data(5))
-    assert fit.status.ok
-    assert fit.names == ()
-    assert fit.normalised_rms == pytest.approx(1.0, abs=0.1)
-    assert "initial states only" in fit.report()
-
-
 def test_parameters_per_record() -> None:
     """A rudder effectiveness that differs by record is found for each; the rest is shared."""
     rng = np.random.default_rng(6)
@@ -422,45 +413,44 @@ def test_a_fit_with_derivatives_beyond_numbers_still_answers(
         profile(fit, "b")
 
 
-def test_inputs_are_unchanged() -> None:
-    """Model and data are the same before and after."""
-    model, data = yaw_model(), yaw_data(16)
-    before = [record.outputs.copy() for record in data]
-    values = model.values
-    ESTIMATOR.fit(model, data)
-    assert model.values == values
-    assert all(np.array_equal(a, b.outputs) for a, b in zip(before, data, strict=True))
-
-
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("kind", "options", "words"),
     [
-        ({"horizon": float("inf")}, "horizon is inf. Give seconds above zero, or None"),
-        ({"horizon": "10"}, "horizon is '10'"),
-        ({"disturbances": None}, "disturbances is None. Choose auto, none, all"),
-        ({"disturbances": (1,)}, r"disturbances is \(1,\)"),
-        ({"noise": {"r": 0.1}}, "noise is {'r': 0.1}. Choose auto, given, estimate or a list"),
-        ({"noise": None}, "noise is None"),
-        ({"solver": "ipopt"}, r"Write solver=Solver\('ipopt'\)"),
-        ({"max_iterations": 40}, r"no argument 'max_iterations'. Write solver=Solver\(max_iter"),
-        ({"constraints": ("K > 0",)}, r"MultipleShooting has no argument 'constraints'"),
-        ({"interval": "5"}, "Shooting interval is '5'. Give a positive length in s"),
+        (
+            MultipleShooting,
+            {"horizon": float("inf")},
+            "horizon is inf. Give seconds above zero, or None",
+        ),
+        (MultipleShooting, {"horizon": "10"}, "horizon is '10'"),
+        (MultipleShooting, {"disturbances": None}, "disturbances is None. Choose auto, none, all"),
+        (MultipleShooting, {"disturbances": (1,)}, r"disturbances is \(1,\)"),
+        (
+            MultipleShooting,
+            {"noise": {"r": 0.1}},
+            "noise is {'r': 0.1}. Choose auto, given, estimate or a list",
+        ),
+        (MultipleShooting, {"noise": None}, "noise is None"),
+        (MultipleShooting, {"solver": "ipopt"}, r"Write solver=Solver\('ipopt'\)"),
+        (
+            MultipleShooting,
+            {"max_iterations": 40},
+            r"no argument 'max_iterations'. Write solver=Solver\(max_iter",
+        ),
+        (
+            MultipleShooting,
+            {"constraints": ("K > 0",)},
+            r"MultipleShooting has no argument 'constraints'",
+        ),
+        (
+            MultipleShooting,
+            {"interval": "5"},
+            "Shooting interval is '5'. Give a positive length in s",
+        ),
+        (Solver, {"max_iterations": 2.5}, "max_iterations is 2.5. Give a whole number, 1 or more"),
+        (Solver, {"tolerance": "small"}, "tolerance is 'small'. Give a positive number"),
     ],
 )
-def test_options_of_another_kind_are_refused_at_once(options: dict, words: str) -> None:
+def test_options_of_another_kind_are_refused_at_once(kind: type, options: dict, words: str) -> None:
     """What is expected, what was given and what to do, before any record is read."""
     with pytest.raises(ModelError, match=words):
-        MultipleShooting(**options)
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"max_iterations": 2.5}, "max_iterations is 2.5. Give a whole number, 1 or more"),
-        ({"tolerance": "small"}, "tolerance is 'small'. Give a positive number"),
-    ],
-)
-def test_settings_of_the_solver_are_checked(options: dict, words: str) -> None:
-    """Numbers of iterations and tolerances are numbers."""
-    with pytest.raises(ModelError, match=words):
-        Solver(**options)
+        kind(**options)
