@@ -7,14 +7,28 @@ from motion import outputs, states
 from oed_sysid import Actuator, Force, Input, Memory, Model, Output, Parameter, Sensor, State
 
 K, T = 0.08, 12.0
-NOMOTO = Model(
-    "Nomoto",
-    states=(State("psi", "rad"), State("r", "rad/s", scale=0.05)),
-    inputs=(Input("rudder", "rad"),),
-    outputs=(Output("psi", "rad", noise_std=0.003), Output("r", "rad/s", noise_std=1e-3)),
-    kinematics={"psi": "r", "r": "(K*rudder - r)/T"},
-    parameters=(Parameter("K", K, "1/s"), Parameter("T", T, "s", lower=0.1)),
-)
+
+
+def nomoto(
+    gain: float = K, time: float = T, *, noise: tuple[float | None, float | None] = (3e-3, 1e-3),
+    rudder: str = "rudder", **settings: object,
+) -> Model:  # fmt: skip
+    """Heading and yaw rate of a ship of Nomoto's first order."""
+    return Model(
+        "Nomoto",
+        states=(State("psi", "rad"), State("r", "rad/s", scale=0.05)),
+        inputs=(Input(rudder, "rad"),),
+        outputs=(
+            Output("psi", "rad", noise_std=noise[0]),
+            Output("r", "rad/s", noise_std=noise[1]),
+        ),
+        kinematics={"psi": "r", "r": f"(K*{rudder} - r)/T"},
+        parameters=(Parameter("K", gain, "1/s"), Parameter("T", time, "s", lower=0.1)),
+        **settings,  # type: ignore[arg-type]
+    )
+
+
+NOMOTO = nomoto()
 PENDULUM = Model(
     "pendulum",
     states=(State("angle", "rad"), State("rate", "rad/s")),

@@ -1,6 +1,6 @@
 """Models whose expressions hold bare numbers: read with a note, refused only where nothing helps.
 
-Eight folders as people write them, each with the number that a note has to name
+Seven folders as people write them, each with the number that a note has to name
 and with changes that no unit of a number could mend.
 """
 
@@ -56,15 +56,6 @@ model = Model("float", states=(State("z", "m"), State("w", "m/s")), inputs=(Inpu
 stop = Force("stop", {"Z": "where(abs(z) > 0.4, -E_stop*(abs(z) - 0.4)*sign(z), 0)"},
              (Parameter("E_stop", 0.0, "N/m", scale=1e4),))
 problem = Problem("folder", model, effects=(stop,))
-"""
-KITE = """
-model = Model("kite", states=(State("beta", "rad"), State("chi", "rad")),
-    inputs=(Input("steer", "1"),),
-    outputs=(Output("beta", "rad", noise_std=0.01), Output("T", "N", "T", noise_std=10.0)),
-    kinematics={"beta": "v_k*cos(chi)/r", "chi": "g_k*v_k*steer + 9.81*sin(chi)/v_k*0.1"},
-    signals={"r": "200 + 4*t", "v_k": "E_glide*8.5*(r/200)**0.14", "T": "0.5*1.225*12*v_k**1.9"},
-    parameters=(Parameter("E_glide", 5.0, "1"), Parameter("g_k", 0.1, "rad/m")), step=0.1)
-problem = Problem("folder", model)
 """
 BENCH = """
 model = Model("bench", states=(State("x", "m"), State("v", "m/s")), inputs=(Input("F", "N"),),
@@ -137,15 +128,6 @@ FOLDERS = [
         (
             ("K*(eta - z)", "K*(eta - w)", "m meets m/s"),
             ("abs(z) > 0.4", "abs(z) > w", "m meets m/s"),
-        ),
-    ),
-    (
-        "kite",
-        KITE,
-        ("8.5, 200 have units", "200 is read as m.", "4 is read as m/s."),
-        (
-            ("cos(chi)/r", "cos(r)/r", "expected rad/s"),
-            ("v_k*cos(chi)/r", "steer", "expected rad/s"),
         ),
     ),
     (

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from math import radians
 
+import motion
 import numpy as np
 import pytest
 from free_body import FreeBody, rotation
 
 from oed_sysid import Dataset, Experiment, Input, Model, MultipleShooting, Parameter
-from oed_sysid.compiled.kernels import Run, kernel
+from oed_sysid.compiled.kernels import Run
 from oed_sysid.errors import ModelError
 from oed_sysid.experiments.manoeuvres import ZigZag, ZigZagLike
 from oed_sysid.experiments.simulation import simulate
@@ -92,9 +93,7 @@ def ran(model: Model, start: dict[str, float], times: np.ndarray) -> Run:
     """A run without commands, from states by name."""
     own = np.array([start.get(name, 0.0) for name in model.state_names])
     inputs = np.zeros((len(times), len(model.inputs)))
-    k = kernel(model)
-    z, _ = k.start(own, inputs[0], model.value_vector, 0.0)
-    found = k.run(times, inputs, model.value_vector, z)
+    found = motion.ran(model, times, inputs, own)
     assert found.ok
     return found
 

@@ -29,6 +29,7 @@ from marks import slow
 from motion import UNITS, outputs, states
 from scipy.fft import dct
 from scipy.signal import lfilter
+from simple_models import nomoto
 from yaw_vehicle import yaw_data, yaw_model
 
 from benchmarks.spoilt_logs import COPIES as SPOILS
@@ -927,14 +928,7 @@ def test_six_degrees_of_freedom_follow_from_standard_names() -> None:
 def test_spare_columns_are_used(tmp_path) -> None:  # type: ignore[no-untyped-def]
     """A heading model checks the positions and speeds that its files hold beside it."""
     data = pair(SHIP, Fault("scale", ("u",), 0.06))
-    heading = Model(
-        "heading",
-        states=(State("psi", "rad"), State("r", "rad/s")),
-        inputs=(Input("fin", "rad"),),
-        outputs=(Output("psi", "rad"), Output("r", "rad/s")),
-        kinematics={"psi": "r", "r": "(K*fin - r)/T"},
-        parameters=(Parameter("K", 1.0, "1/s"), Parameter("T", 5.0, "s")),
-    )
+    heading = nomoto(1.0, 5.0, rudder="fin", noise=(None, None))
     for record in data:
         path = tmp_path / f"{record.name}.csv"
         write_csv(record, path)

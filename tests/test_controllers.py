@@ -12,17 +12,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from simple_models import nomoto
 
 from benchmarks.truth import NAMES, TRUE, rates, runge_kutta
 from oed_sysid import (
     Experiment,
-    Input,
     Limits,
     Model,
-    Output,
     Parameter,
     Piecewise,
-    State,
     ZigZag,
     load_problem,
 )
@@ -45,15 +43,7 @@ RUNS = {
 
 def ship() -> Model:
     """Nomoto's ship."""
-    return Model(
-        "ship",
-        (State("psi", "rad"), State("r", "rad/s")),
-        (Input("rudder", "rad"),),
-        (Output("psi", "rad", noise_std=0.001), Output("r", "rad/s", noise_std=0.001)),
-        {"psi": "r", "r": "(K*rudder - r)/T"},
-        parameters=(Parameter("K", K, "1/s"), Parameter("T", T, "s")),
-        step=0.05,
-    )
+    return nomoto(K, T, noise=(0.001, 0.001), step=0.05)
 
 
 def experiment(name: str, **change: Any) -> Experiment:

@@ -445,6 +445,28 @@ def test_models_without_axes_have_a_dictionary() -> None:
     assert same_dimension(damping.effect(model, {"p": "rad/s"}, 1.0).parameters[0].unit, "1")
 
 
+def test_powers_of_a_position_are_there_where_a_force_knows_it() -> None:
+    """A spring that may harden as a mooring does; a depth that no force knows has none."""
+    for spring, known in (("- k*z", True), ("", False)):
+        model = Model(
+            "moored",
+            states=(State("w", "m/s"), State("z", "m")),
+            inputs=(Input("push", "N"),),
+            outputs=(Output("z", "m", noise_std=0.01),),
+            axes={"Z": "w"},
+            inertia={("Z", "w"): "20.0"},
+            kinematics={"z": "w"},
+            effects=(Force("hull", {"Z": f"push - c*w {spring}"}),),
+            parameters=(Parameter("c", 8.0, "kg/s"), Parameter("k", 15.0, "N/m")),
+        )
+        found = terms(
+            model, (Cause("w", "m/s", "motion", False), Cause("z", "m", "position", False))
+        )
+        texts = [term.expression for term in found]
+        assert "z" in texts
+        assert ("z**3" in texts) is known
+
+
 def test_a_heading_is_no_cause() -> None:
     """Signals of a steering model leave out the heading, on which nothing depends."""
     ship = load_problem("kvlcc2").model

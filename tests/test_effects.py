@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
+import motion
 import numpy as np
 import pytest
 import vehicles
@@ -195,11 +196,9 @@ def integrator(*chain: Effect) -> Model:
 def means(*chain: Effect, commands: np.ndarray = COMMANDS) -> np.ndarray:
     """Mean actual deflection of every step, ``(n_commands,)``."""
     model = integrator(*chain)
-    kernel = Kernel(model, compiled=False)
     inputs = np.append(commands, 0.0)[:, None]
     times = STEP * np.arange(len(inputs))
-    z, _ = kernel.start(np.zeros(1), inputs[0], model.value_vector, 0.0)
-    run = kernel.run(times, inputs, model.value_vector, z)
+    run = motion.ran(model, times, inputs, np.zeros(1), compiled=False)
     return np.diff(run.outputs[:, 0]) / STEP
 
 
@@ -325,10 +324,8 @@ def ramp(*chain: Effect, n: int = 60) -> tuple[np.ndarray, np.ndarray]:
         effects=chain,
         step=STEP,
     )
-    kernel = Kernel(model, compiled=False)
     times = STEP * np.arange(n)
-    z, _ = kernel.start(np.ones(1), np.zeros(0), model.value_vector, 0.0)
-    run = kernel.run(times, np.zeros((n, 0)), model.value_vector, z)
+    run = motion.ran(model, times, np.zeros((n, 0)), np.ones(1), compiled=False)
     return times, run.outputs[:, 0]
 
 
@@ -387,8 +384,7 @@ def test_one_parameter_for_several_channels() -> None:
         assert len(shared.free_names) == 1
         found = []
         for model in (shared, single):
-            z, _ = kernel(model).start(np.zeros(2), inputs[0], model.value_vector, 0.0)
-            found.append(kernel(model).run(times, inputs, model.value_vector, z).outputs)
+            found.append(motion.ran(model, times, inputs, np.zeros(2)).outputs)
         np.testing.assert_allclose(found[0], found[1], rtol=1e-13, atol=1e-14)
         assert np.abs(found[0][-1]).max() > 0.05
 
@@ -610,8 +606,7 @@ def states(
     """Times and states from an angle at rest."""
     times = np.arange(0.0, end, 0.01)
     inputs = torque(times)[:, None]
-    z, _ = kernel(model).start(np.array([phi, 0.0]), inputs[0], model.value_vector, 0.0)
-    return times, kernel(model).run(times, inputs, model.value_vector, z).states
+    return times, motion.ran(model, times, inputs, [phi, 0.0]).states
 
 
 def test_dry_friction_takes_the_same_from_every_swing() -> None:

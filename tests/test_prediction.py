@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from motion import outputs, states
+from simple_models import nomoto
 from turning_ship import record as turning_record
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model, yaw_record
 
@@ -410,15 +411,7 @@ def test_polar_needs_polar_axes() -> None:
         plot_polar(polar, ax=axes[0, 0])
 
 
-NOMOTO = Model(
-    "Nomoto",
-    states=(State("psi", "rad"), State("r", "rad/s", scale=0.02)),
-    inputs=(Input("rudder", "rad"),),
-    outputs=outputs("psi r", psi=0.002, r=0.0005),
-    kinematics={"psi": "r", "r": "(K*rudder - r)/T"},
-    parameters=(Parameter("K", 0.1, "1/s"), Parameter("T", 8.0, "s", lower=0.1)),
-    step=0.2,
-)
+NOMOTO = nomoto(0.1, 8.0, noise=(0.002, 0.0005), step=0.2)
 # A body that loses speed in the turn and drifts, with known steady values.
 DRIFTING = Model(
     "drifting ship",

@@ -7,20 +7,20 @@ from itertools import product
 
 import numpy as np
 import pytest
+import steered_ship
 from marks import slow
-from scipy.integrate import solve_ivp
+from simple_models import nomoto
 from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
 
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, improve
 from oed_sysid.evidence.compare import forecasts
-from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.preparation import coarser, prepared
 from oed_sysid.evidence.remainder import RandomForceFound, Remains, remains
 from oed_sysid.evidence.study import Study
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.information import lagged_products
 from oed_sysid.likelihood.whole_runs import OutputRuns, WholeRuns
-from oed_sysid.physics import Effect, Force, actuator_lag, backlash, quadratic_drag
+from oed_sysid.physics import Effect, Force, actuator_lag, backlash
 
 CART = Model(
     "cart",
@@ -206,86 +206,26 @@ def test_short_records_do_not_tell_level_from_time(level: float) -> None:
     assert force.is_the_same_elsewhere is (level == 8.0)
 
 
-BODY = Model(
-    "moored body",
-    (State("w", "m/s", scale=0.2), State("z", "m", scale=0.5)),
-    (Input("push", "N"),),
-    (Output("w", "m/s", noise_std=0.005), Output("z", "m", noise_std=0.005)),
-    axes={"Z": "w"},
-    inertia={("Z", "w"): "m"},
-    kinematics={"z": "w"},
-    effects=(),
-    parameters=(Parameter("m", 20.0, "kg", fixed=True),),
-    step=0.1,
+def wall(r: float, psi: float, lagged: float) -> float:
+    """A soft wall that turns the ship back."""
+    return -0.04 * np.tanh(20.0 * (psi - 0.2))
+
+
+@pytest.mark.parametrize(
+    ("law", "kind"), [(wall, "structure missing"), (steered_ship.nothing, "disturbance")]
 )
-
-
-def truth(k: int, *, cubic: float = 0.0, stop: float = 0.0, sea: float = 0.0) -> Record:
-    """One run, by SciPy: a spring that hardens, a soft stop, a disturbance force; N/m^3, N/m, N."""
-    rng = np.random.default_rng([5, k])
-    times = np.arange(0.0, 120.0, 0.2)
-    push = np.repeat(rng.uniform(-12.0, 12.0, 20), 30)
-    force, state = np.zeros(len(times)), np.zeros((len(times), 2))
-    keep = np.exp(-0.2 / 2.0)
-    for i in range(1, len(times)):
-        force[i] = keep * force[i - 1] + sea * np.sqrt(1 - keep**2) * rng.standard_normal()
-
-        def rate(t: float, x: np.ndarray, i: int = i) -> list[float]:
-            w, z = x
-            spring = 15 * z + cubic * z**3 + stop * max(z - 0.2, 0.0)
-            return [(push[i - 1] + force[i - 1] - 8 * w - spring) / 20.0, w]
-
-        state[i] = solve_ivp(rate, (0.0, 0.2), state[i - 1], rtol=1e-8).y[:, -1]
-    seen = state + 0.005 * rng.standard_normal(state.shape)
-    return Record(f"run {k}", times, push[:, np.newaxis], seen, BODY.channels)
-
-
-@pytest.fixture(scope="module")
-def model() -> Model:
-    """The body with the spring and the damping that are known of."""
-    hull = Force(
-        "hull",
-        {"Z": "push - Z_w*w - Z_z*z"},
-        (Parameter("Z_w", 6.0, "N s/m", lower=0.0), Parameter("Z_z", 12.0, "N/m", lower=0.0)),
-    )
-    return BODY + hull
-
-
-def improved(model: Model, **hidden: float) -> Improvement:
-    """The search with a candidate that is not it."""
-    runs = [truth(k, **hidden) for k in range(4)]
-    damping = quadratic_drag("damping", "Z", "w", scale=5.0)
-    return improve(model, Dataset(runs[:2]), Dataset(runs[2:]), candidates=[damping])
-
-
-@pytest.mark.slow
-def test_a_spring_that_hardens_is_found(model: Model) -> None:
-    """Powers of a position that a force knows are in the dictionary of terms."""
-    found = improved(model, cubic=40.0)
-    assert [step.added for step in found.steps] == ["term_Z_zzz"]
-    size = next(p for p in found.parameters if p["name"] == "Z_zzz")
-    assert abs(size["value"] + 40.0) < 4 * size["std_error"]
-    assert found.remains.kind == "adequate"
-
-
-@pytest.mark.slow
-def test_a_stop_is_no_sea(model: Model) -> None:
-    """A force that no term holds is said to follow the depth."""
-    found = improved(model, stop=60.0)
-    assert found.remains.kind == "structure missing"
-    assert found.remains.follows is not None
-    (force,) = found.remains.follows
-    assert "z" in force.signals
-    assert force.statistic > 2 * force.needed
-
-
-@pytest.mark.slow
-def test_a_sea_follows_nothing(model: Model) -> None:
-    """A disturbance force stays one."""
-    found = improved(model, sea=3.0)
-    assert not found.steps
-    assert found.remains.kind == "disturbance"
-    assert found.remains.follows == ()
+def test_a_wall_is_no_sea(law: steered_ship.Share, kind: str) -> None:
+    """A force that no term holds is said to follow the heading; a disturbance stays one."""
+    train, test = (steered_ship.two(seed, law) for seed in (0, 1))
+    study, fit = Study.begin(steered_ship.YAW, train, test, (), known_noise=False)
+    found = study.result(study.polished(study.settle(fit)), "fit")
+    left = replace(remains(study, fit), training=found.whole_runs, validation=found.runs_on(test))
+    assert left.kind == kind
+    assert left.follows is not None
+    for force in left.follows:
+        assert "psi" in force.signals
+        assert force.statistic > 2 * force.needed
+    assert bool(left.follows) is (law is wall)
 
 
 def test_lagged_products() -> None:
@@ -295,15 +235,7 @@ def test_lagged_products() -> None:
     np.testing.assert_allclose(lagged_products(series, 2), expected, atol=1e-12)
 
 
-YAW = Model(
-    "yaw",
-    (State("r", "rad/s", scale=0.1), State("psi", "rad")),
-    (Input("rudder", "rad"),),
-    (Output("r", "rad/s", noise_std=0.001), Output("psi", "rad", noise_std=0.002)),
-    {"r": "(K*rudder - r)/T", "psi": "r"},
-    parameters=(Parameter("K", 0.3, "1/s"), Parameter("T", 2.0, "s", lower=0.1)),
-    step=0.1,
-)
+YAW = nomoto(0.3, 2.0, noise=(0.002, 0.001), step=0.1)
 
 
 @pytest.mark.parametrize(
@@ -317,9 +249,9 @@ def test_of_the_truth_forecasts_are_as_good_as_stated(effect: Effect, size: floa
     times = np.arange(0.0, 300.0, 0.2)
     rudder = np.repeat(rng.uniform(-0.3, 0.3, 100), 15)
     run = simulate_inputs(model, times, inputs={"rudder": rudder})
-    seen = run.outputs + np.array([0.001, 0.002]) * rng.standard_normal(run.outputs.shape)
+    seen = run.outputs + np.array([0.002, 0.001]) * rng.standard_normal(run.outputs.shape)
     record = Record("run", times, rudder[:, np.newaxis], seen, model.channels)
-    found = forecasts(model, Dataset((record,)), np.array([0.001, 0.002]), horizon=10.0)
+    found = forecasts(model, Dataset((record,)), np.array([0.002, 0.001]), horizon=10.0)
     assert found.n_forecasts > 20
     ratio = np.sqrt(np.nanmean((found.errors[0] / found.expected[0]) ** 2))
     assert ratio == pytest.approx(1.0, abs=0.1)

@@ -13,6 +13,7 @@ import pytest
 from golden_files import restored
 from marks import slow
 from scipy.signal import lfilter
+from simple_models import nomoto
 
 from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import simulate, true_values
@@ -35,19 +36,11 @@ from oed_sysid.likelihood.random_forces import threshold
 from oed_sysid.likelihood.realisation import drawn_disturbances, narrow_band_force
 from oed_sysid.likelihood.score_test import Setting, moved, posed
 from oed_sysid.physics import Parameter, wave_force
-from oed_sysid.physics.channels import Channels, Input, Output, State
+from oed_sysid.physics.channels import Channels, Input, Output
 
 TRUE = {"K": 0.1, "T": 8.0}
 WHITE = np.array([5e-3, 2e-3])
-SHIP = Model(
-    "nomoto",
-    (State("psi", "rad", scale=0.5), State("r", "rad/s", scale=0.03)),
-    (Input("rudder", "rad"),),
-    (Output("psi", "rad", noise_std=WHITE[0]), Output("r", "rad/s", noise_std=WHITE[1])),
-    {"psi": "r", "r": "(K*rudder - r)/T"},
-    parameters=(Parameter("K", 0.12, "1/s"), Parameter("T", 6.0, "s")),
-    step=0.5,
-)
+SHIP = nomoto(0.12, 6.0, noise=(5e-3, 2e-3), step=0.5)
 LEVEL, PERIOD = 3e-3, 7.0
 SEA = Sea(period=PERIOD, bandwidth=0.2, levels={"r": LEVEL})
 

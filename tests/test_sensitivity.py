@@ -7,6 +7,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from simple_models import nomoto
 
 from oed_sysid import Dataset, Experiment, Input, Model, Output, Parameter, State
 from oed_sysid.errors import DesignError
@@ -339,12 +340,7 @@ def test_bound_predicts_the_errors_found() -> None:
 
 def test_feedback_is_resolved_before_derivatives_are_taken() -> None:
     """A zigzag's information is that of its commands as a given history."""
-    model = replace(
-        first_order(),
-        states=(State("psi", "rad"), State("r", "rad/s")),
-        outputs=(Output("psi", "rad", noise_std=2e-3),),
-        kinematics={"psi": "r", "r": "(K*rudder - r)/T"},
-    )
+    model = replace(nomoto(GAIN, TIME), outputs=(Output("psi", "rad", noise_std=2e-3),), step=0.05)
     test = Experiment("zigzag", ZigZag("rudder", 0.2, 0.2), duration=60.0, sample_time=0.5)
     logged = simulate(model, test, noise=False)
     planned = information_of(model, test)

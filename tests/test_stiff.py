@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from marks import slow
+from motion import ran
 from scipy.integrate import solve_ivp
 
 from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Record, Solver, State
@@ -51,34 +52,6 @@ DRIVE = Model(
 )
 
 
-def run(model: Model, times: np.ndarray, inputs: np.ndarray, own: np.ndarray, **options: object):
-    """Trajectory of a model, with options of the kernel's run."""
-    code = Kernel(model, compiled=options.pop("compiled", None))  # type: ignore[arg-type]
-    z, _ = code.start(own, inputs[0], model.value_vector, times[0])
-    return code.run(times, inputs, model.value_vector, z, **options)  # type: ignore[arg-type]
-
-
-def test_robertson_agrees_with_radau() -> None:
-    """To ten seconds all three species follow SciPy's Radau within 1e-5 of their sizes."""
-    times = np.linspace(0.0, 10.0, 101)
-    found = run(ROBERTSON, times, np.zeros((101, 0)), np.array([1.0, 0.0, 0.0]))
-
-    def rates(t: float, y: np.ndarray) -> np.ndarray:
-        k1, k2, k3 = 0.04, 3e7, 1e4
-        slow, fast, merge = k1 * y[0], k2 * y[1] ** 2, k3 * y[1] * y[2]
-        return np.array([-slow + merge, slow - merge - fast, fast])
-
-    exact = solve_ivp(
-        rates, (0.0, 10.0), [1.0, 0.0, 0.0], "Radau", times, rtol=1e-10, atol=1e-14
-    ).y.T
-    assert found.ok
-    # The first steps cross the initial layer; after them the error is that of smooth motion.
-    assert np.all(np.abs(found.outputs[2:] - exact[2:]) < 1e-5 * exact[2:].max(axis=0))
-    assert found.outputs.sum(axis=1) == pytest.approx(1.0, abs=1e-12)
-    explicit = replace(ROBERTSON, integrator="explicit")
-    assert not run(explicit, times, np.zeros((101, 0)), np.array([1.0, 0.0, 0.0])).ok
-
-
 def drive_inputs(times: np.ndarray) -> np.ndarray:
     """Ramps between commands."""
     return np.round(np.sin(0.9 * times), 1)[:, None] * 0.2
@@ -88,7 +61,7 @@ def test_a_fast_drive_is_followed_with_large_steps_where_explicit_ones_explode()
     """Twenty time constants in a step: within 2e-4 of Radau, where the explicit way diverges."""
     times = np.arange(0.0, 10.0, 0.1)
     inputs, own = drive_inputs(times), np.array([0.1, 0.0])
-    found = run(DRIVE, times, inputs, own)
+    found = ran(DRIVE, times, inputs, own)
     p = DRIVE.values
 
     def rates(t: float, y: np.ndarray) -> np.ndarray:
@@ -101,7 +74,7 @@ def test_a_fast_drive_is_followed_with_large_steps_where_explicit_ones_explode()
     ).y.T
     assert np.abs(found.outputs[:, 0] - exact[:, 0]).max() < 2e-4
     assert np.abs(found.outputs[:, 1] - exact[:, 1]).max() < 2e-3
-    explicit = run(replace(DRIVE, integrator="explicit"), times, inputs, own)
+    explicit = ran(replace(DRIVE, integrator="explicit"), times, inputs, own)
     assert not np.nanmax(np.abs(explicit.outputs)) < 1e3
 
 
@@ -111,7 +84,7 @@ def test_the_order_is_three() -> None:
     smooth = smooth.with_values({"T": 1.0, "D": 2.0})
     times, own = np.array([0.0, 2.0]), np.array([1.0, 0.2])
     ends = [
-        run(replace(smooth, step=step), times, np.zeros((2, 1)), own).states[-1]
+        ran(replace(smooth, step=step), times, np.zeros((2, 1)), own).states[-1]
         for step in (0.025, 0.0125, 0.00625)
     ]
     order = np.log2(np.abs(ends[1] - ends[0]) / np.abs(ends[2] - ends[1]))
@@ -152,7 +125,7 @@ def test_compiled_and_interpreted_steps_agree() -> None:
     times = np.arange(0.0, 3.0, 0.15)
     inputs, own = drive_inputs(times), np.array([0.2, 0.1])
     one, two = (
-        run(DRIVE, times, inputs, own, sensitivities=True, compiled=how) for how in (True, False)
+        ran(DRIVE, times, inputs, own, sensitivities=True, compiled=how) for how in (True, False)
     )
     assert one.outputs == pytest.approx(two.outputs, rel=1e-12, abs=1e-14)
     assert one.output_sensitivities == pytest.approx(two.output_sensitivities, rel=1e-9, abs=1e-11)
@@ -173,7 +146,7 @@ def test_a_stiff_model_is_fitted(disturbances: str | tuple[str, ...]) -> None:
         inputs=(*DRIVE.inputs, Input("gust", "rad/s^2")),
         kinematics={**DRIVE.kinematics, "q": DRIVE.kinematics["q"] + " + gust"},
     )
-    clean = run(shaken, times, np.hstack([inputs, gust]), np.array([0.1, 0.0])).outputs
+    clean = ran(shaken, times, np.hstack([inputs, gust]), np.array([0.1, 0.0])).outputs
     noisy = clean + 1e-3 * rng.normal(size=clean.shape)
     data = Dataset((Record("run", times, inputs, noisy, DRIVE.channels),))
     start = DRIVE.with_values({"T": 2.6, "M_ds": -0.7}).fix("tau", "D")
@@ -196,7 +169,7 @@ def test_the_structure_knows_the_integrator_and_advice_names_it() -> None:
         replace(DRIVE, integrator="magic")
     times = np.arange(0.0, 5.0, 0.1)
     inputs = drive_inputs(times)
-    outputs = run(DRIVE, times, inputs, np.array([0.1, 0.0])).outputs
+    outputs = ran(DRIVE, times, inputs, np.array([0.1, 0.0])).outputs
     data = Dataset((Record("run", times, inputs, outputs, DRIVE.channels),))
     fits = [
         MultipleShooting(noise="given", disturbances="none", solver=Solver(name)).fit(DRIVE, data)

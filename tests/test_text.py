@@ -8,6 +8,7 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 import pytest
+from motion import ran
 from scipy.interpolate import RegularGridInterpolator
 
 from oed_sysid import Actuator, ExtraState, Force, Function, Input, Output, Parameter, Sensor, State
@@ -690,8 +691,7 @@ def test_actuator_with_inertia() -> None:
     model = sled(effects=(lag, Force("push", {"X": "push"})), step=0.005)
     times = 0.05 * np.arange(40)
     inputs = np.where(times < 0.5, 1.0, -1.0)[:, None]
-    z, _ = kernel(model).start(np.zeros(2), inputs[0], model.value_vector, 0.0)
-    run = kernel(model).run(times, inputs, model.value_vector, z)
+    run = ran(model, times, inputs, np.zeros(2))
     after = times[10:] - times[10]
     np.testing.assert_allclose(run.states[10:, 2], -1 + 2 * np.exp(-after / 0.5), atol=1e-9)
 
