@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
-import numpy as np
 import pytest
 from test_export import compiled, loaded
 from yaw_vehicle import NOISE, yaw_data, yaw_model
@@ -55,6 +54,12 @@ HOSTILE = (
     "\u202estolen\u202d",
     "<?xml version='1.0'?>",
     "#include <stolen.h>",
+    'int main(void){fclose(fopen("stolen","w"));return 0;}',
+    '*/ __attribute__((constructor)) void s(void){fopen("stolen","w");} /*',
+    '\n#include <stdlib.h>\nint z = system("touch stolen");',
+    "\nopen('stolen', 'w')",
+    "'''\n__import__('os').system('touch stolen')\n'''",
+    "%}\nsystem('touch stolen')",
 )
 
 
@@ -112,11 +117,16 @@ def test_name_stays_in_its_comment(
 
 
 @pytest.mark.skipif(COMPILER is None, reason="needs a C compiler")
-def test_hostile_records_are_compiled_and_run(tmp_path: Path, fit: Fit) -> None:
-    """All names at once: the C test passes, the module loads, the unit is valid."""
+def test_hostile_records_are_compiled_and_run(
+    tmp_path: Path, fit: Fit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All names at once: the C test passes, the module loads, the unit is valid, none is run."""
+    monkeypatch.chdir(tmp_path)
     first = fit.dataset[0]
     records = Dataset(tuple(replace(first, name=name) for name in HOSTILE))
-    whole = MultipleShooting(disturbances="none").fit(fit.model, records)
+    told = (replace(one, description="".join(HOSTILE)) for one in fit.model.parameters)
+    model = replace(fit.model, parameters=tuple(told))
+    whole = MultipleShooting(disturbances="none").fit(model, records)
     program = program_of(whole)
     assert all(character not in program.origin for character in "*/\\\"'\n%?<&")
     export(whole, "c", tmp_path)
@@ -127,6 +137,10 @@ def test_hostile_records_are_compiled_and_run(tmp_path: Path, fit: Fit) -> None:
     with zipfile.ZipFile(file) as unit:
         root = ElementTree.fromstring(unit.read("modelDescription.xml"))
         assert json.loads(unit.read("resources/model.json"))["fitted_to"] == list(HOSTILE)
+    script, _ = export(whole, "matlab", tmp_path)
+    lines = [line.split("%")[0] for line in script.read_text("utf-8").splitlines()]
+    assert not any(word in line for line in lines for word in ("system('", 'open("', "open('"))
+    assert not list(tmp_path.rglob("stolen"))
     assert safe(HOSTILE[0]) in root.attrib["description"]
     assert not list(root.iter("stolen"))
 
@@ -162,70 +176,6 @@ def test_hostile_model_is_compiled_and_runs(tmp_path: Path) -> None:
          tmp_path / f"{name}.c"], capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert not built.returncode, built.stderr
-
-
-PIECES = (
-    *(
-        "*/",
-        "/*",
-        "//",
-        "\\",
-        "??/",
-        '"',
-        "'",
-        '"""',
-        "'''",
-        "\n",
-        "\r",
-        "\u2028",
-        "\x00",
-        "%{",
-        "%}",
-    ),
-    *("...", "#", "<!--", "-->", "]]>", "&", "$", "`", ";", "{", "}", "(", ")", " ", "é", "\u202e"),
-    'int main(void){fclose(fopen("stolen","w"));return 0;}',
-    '__attribute__((constructor)) void s(void){fopen("stolen","w");}',
-    '#include <stdlib.h>\nint z = system("touch stolen");',
-    "open('stolen', 'w')",
-    "__import__('os').system('touch stolen')",
-    "system('touch stolen')",
-)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(COMPILER is None, reason="needs a C compiler")
-@pytest.mark.parametrize("seed", range(10))
-def test_two_hundred_drawn_names_run_no_code(
-    tmp_path: Path, fit: Fit, seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Names of records, model and descriptions, drawn from code: all is built, nothing is run."""
-    rng = np.random.default_rng(seed)
-    names = ["".join(rng.choice(PIECES, rng.integers(1, 9))) for _ in range(20)]
-    monkeypatch.chdir(tmp_path)
-    first, parameters = fit.dataset[0], fit.model.parameters
-    told = (replace(p, description=n) for p, n in zip(parameters, names, strict=False))
-    model = replace(
-        fit.model, name=names[-1].strip() or "a", parameters=(*told, *parameters[len(names) :])
-    )
-    records = tuple(replace(first, name=f"{n}{i}") for i, n in enumerate(names))
-    own = ("predictions", "residuals", "states", "initial_states", "local_values")
-    runs = {part: getattr(fit, part)[:1] * len(records) for part in own}
-    whole = replace(fit, model=model, dataset=Dataset(records), sources=None, **runs)
-    name = program_of(whole).identifier
-    export(whole, "c", tmp_path)
-    done = compiled(tmp_path, name)
-    assert done.returncode == 0, done.stdout
-    assert fit.model.state_names == loaded(export(whole, "python", tmp_path)[0]).STATES
-    (unit,) = export(whole, "fmu", tmp_path)
-    with zipfile.ZipFile(unit) as inside:
-        ElementTree.fromstring(inside.read("modelDescription.xml"))
-        stated = json.loads(inside.read("resources/model.json"))["fitted_to"]
-    assert stated == [record.name for record in records]
-    script, originals = export(whole, "matlab", tmp_path)
-    assert json.loads(originals.read_text("utf-8"))["model"] == model.name
-    code_lines = [line.split("%")[0] for line in script.read_text("utf-8").splitlines()]
-    assert not any(word in line for line in code_lines for word in ("system('", 'open("', "open('"))
-    assert not list(tmp_path.rglob("stolen"))
 
 
 @pytest.mark.parametrize(("unit", "written"), [("kg*m²/s²", "kg m^2/s^2"), ("%", "percent"),
