@@ -22,13 +22,14 @@ from oed_sysid.evidence.preparation import prepared
 from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import Sizes, equipped, settled
 from oed_sysid.experiments.problem import Problem, load_problem
+from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics import Force, Parameter, amplitude, quadratic_drag
 from oed_sysid.physics.bodies import rigid_body
-from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.channels import Input
 from oed_sysid.physics.model import Model
 from oed_sysid.results import page as page_of
 from oed_sysid.results import plot_prediction
@@ -118,6 +119,29 @@ def test_a_current_of_any_attitude_is_the_transposed_rotation() -> None:
     terms = made["weight"].terms
     pull = [float(to_numpy(terms[axis], {**angles, "E_weight": 5.0})) for axis in "XYZ"]
     np.testing.assert_allclose(pull, turn @ [0.0, 0.0, 5.0])
+
+
+def test_a_current_without_sway_is_its_part_along_the_heading() -> None:
+    """The flow of a craft of surge and yaw loses what runs along its heading."""
+    body = rigid_body(("surge", "yaw"), mass=120.0, inertia=12.0)
+    screws = (body.thruster(f"screw_{y}", "T", at=(0, y, 0)) for y in (1, 0))
+    noise = {"u": 0.01, "r": 0.005, "psi": 0.01}
+    hull = body.hull({"X_absuu": -80.0, "N_r": -7.0})
+    craft = body.model("craft", inputs=(Input("T", "N"),), effects=(hull, *screws), noise=noise)
+    times = np.arange(0.0, 30.0, 0.2)
+    run = simulate_inputs(craft, times, inputs={"T": 20.0 + 10.0 * np.sign(np.sin(times))})
+    data = Dataset((Record("run", times, run.inputs, run.outputs, craft.channels),))
+    made = {effect.name: effect for effect in usual_effects(craft, data)}
+    towards = {"E_current_north": 0.3, "E_current_east": -0.2}
+    found = float(to_numpy(made["current"].terms["u_r"], {"psi": 0.7, "u_r": 1.0, **towards}))
+    assert found == pytest.approx(1.0 - 0.3 * np.cos(0.7) + 0.2 * np.sin(0.7))
+
+
+def test_a_righting_moment_may_harden() -> None:
+    """What rights a ship has a cubic part among its candidates."""
+    problem = load_problem("roll_decay")
+    made = {effect.name: effect for effect in usual_effects(problem.model, problem.data())}
+    assert dict(made["hardening_K_phi"].terms) == {"K": "K_phiphiphi*phi**3"}
 
 
 def test_free_derivatives_are_not_repeated() -> None:
@@ -313,96 +337,6 @@ def test_a_late_gyro_brings_a_candidate_of_its_own() -> None:
     assert any("delay_q" in note for note in notes)
     others, _ = settled(model, clean, None, check(clean, model))
     assert not [effect for effect in others if effect.name.startswith("delay_")]
-
-
-ROLLING = Model(
-    "rolling",
-    (State("phi", "rad", scale=0.2), State("p", "rad/s", scale=0.2)),
-    (Input("K_tank", "N m"),),
-    (Output("phi", "rad", noise_std=0.003), Output("p", "rad/s", noise_std=0.003)),
-    {"phi": "p"},
-    axes={"K": "p"},
-    inertia={("K", "p"): "I_xx"},
-    effects=(
-        Force(
-            "roll",
-            {"K": "K_tank - G*sin(phi) + K_p*p"},
-            (Parameter("G", 900.0, "N m"), Parameter("K_p", -70.0, "N m s")),
-        ),
-    ),
-    parameters=(Parameter("I_xx", 500.0, "kg m^2", fixed=True),),
-    step=0.1,
-)  # fmt: skip
-HARD = -1500.0  # N m
-BODY = rigid_body(
-    ("surge", "yaw"), mass=120.0, inertia=12.0, added_mass={"X_udot": 0.0, "N_rdot": -8.0}
-)
-TURNING = BODY.model(
-    "two thrusters",
-    inputs=(Input("T_port", "N"), Input("T_starboard", "N")),
-    effects=(
-        BODY.hull({"X_absuu": -80.0, "N_r": -7.0}),
-        BODY.thruster("port", "T_port", at=(0, -0.3, 0)),
-        BODY.thruster("starboard", "T_starboard", at=(0, 0.3, 0)),
-    ),
-    noise={"u": 0.01, "r": 0.005, "psi": 0.01},
-    step=0.2,
-)
-NORTH, EAST = 0.2, -0.1  # m/s
-
-
-def run(model, rates, start, commands, seed: int) -> Record:  # type: ignore[no-untyped-def]
-    """One record of 60 s by SciPy, commands held for 3 s, with white noise as declared."""
-    rng = np.random.default_rng(seed)
-    times = np.arange(0.0, 60.0, 0.2)
-    held = np.repeat(commands(rng), 15, axis=0)
-
-    def rate(t: float, x: np.ndarray) -> list[float]:
-        return rates(x, held[min(int(t / 0.2 + 1e-9), len(held) - 1)])
-
-    seen = solve_ivp(rate, (0, times[-1]), start, t_eval=times, max_step=0.2, rtol=1e-7).y.T
-    noise = np.array([output.noise_std for output in model.outputs])
-    seen = seen + noise * rng.standard_normal(seen.shape)
-    return Record(f"run {seed}", times, held, seen, model.channels)
-
-
-def rolls(x: np.ndarray, command: np.ndarray) -> list[float]:
-    """A ship that hardens as it heels."""
-    phi, p = x
-    return [p, (command[0] - 1000.0 * np.sin(phi) + HARD * phi**3 - 80.0 * p) / 500.0]
-
-
-def turns(x: np.ndarray, command: np.ndarray) -> list[float]:
-    """A craft whose hull sees the current along its heading."""
-    u, r, psi = x
-    flow = u - NORTH * np.cos(psi) - EAST * np.sin(psi)
-    surge = command.sum() - 90.0 * abs(flow) * flow
-    return [surge / 120.0, (0.3 * (command[0] - command[1]) - 8.0 * r) / 20.0, r]
-
-
-@pytest.mark.parametrize("kind", slow("hardening_K_phi", "current"))
-def test_found_without_a_name(kind: str) -> None:
-    """The effect that was hidden is the only one claimed, at its size."""
-    hard = kind == "hardening_K_phi"
-    model, rates = (ROLLING, rolls) if hard else (TURNING, turns)
-
-    def commands(rng: np.random.Generator) -> np.ndarray:
-        if hard:
-            return rng.choice([-400.0, 0.0, 400.0], (20, 1))
-        return 25.0 + 15.0 * rng.choice([-1, 0, 1], (20, 2))
-
-    start = [0.3, 0.0] if hard else [0.5, 0.0, 0.3]
-    train, test = (
-        Dataset(tuple(run(model, rates, start, commands, seed) for seed in seeds))
-        for seeds in ((1,) if hard else (1, 3), (4,))
-    )
-    assert kind in {effect.name for effect in usual_effects(model, train)}
-    found = improve(model, train, test)
-    assert [step.added for step in found.steps] == [kind]
-    assert found.remains.kind == "adequate"
-    truth = {"K_phiphiphi": HARD} if hard else {"E_current_north": NORTH, "E_current_east": EAST}
-    for name, value in truth.items():
-        assert found.fit.values[name] == pytest.approx(value, rel=0.15)
 
 
 TRUE = {"K": 0.05, "n": 1.0, "n3": 400.0, "b": 0.02, "d0": 0.01, "U": 5.0}
