@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import turning_ship
 from diving_plane import PROBLEM, records
 from golden_files import restored
 from marks import slow
@@ -51,21 +52,11 @@ NOMINAL = SHIP.with_values({"K": 0.5, "T": 4.0})
 def record(
     name: str, seed: int, cubic: float, *, gap: bool = False, amplitude: float = 0.5
 ) -> Record:
-    """A record by explicit Euler in small steps, independent of the package."""
+    """A record of the ship that turns, its rate maybe silent for six seconds."""
     rng = np.random.default_rng(seed)
-    t = np.arange(0.0, 60.0, 0.2)
-    rudder = amplitude * np.sign(np.sin(2 * np.pi * t / (17.0 + seed))) * (t > 3)
-    outputs = np.empty((len(t), 2))
-    psi = r = 0.0
-    for k, angle in enumerate(rudder):
-        outputs[k] = psi, r
-        for _ in range(200):
-            psi += 0.001 * r
-            r += 0.001 * ((0.5 * angle - r) / 4.0 + cubic * r**3)
-    outputs += NOISE * rng.standard_normal(outputs.shape)
-    if gap:
-        outputs[50:80, 1] = np.nan
-    return Record(name, t, rudder[:, None], outputs, NOMINAL.channels)
+    found = turning_ship.record(name, rng, cubic, amplitude=amplitude)
+    silent = np.isin(np.arange(found.n_samples), range(50, 80)) & gap
+    return found.with_outputs(np.where(silent[:, None] & [False, True], np.nan, found.outputs))
 
 
 @pytest.fixture(scope="module")

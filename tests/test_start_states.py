@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from golden_files import restored
 from marks import slow
+from simple_models import nomoto
 from vehicles import DIVING_START, SHIP_START, remus, ship
 
 from oed_sysid import Dataset, Fit, Input, Model, MultipleShooting, Output, Parameter, Record, State
@@ -179,18 +180,7 @@ STEP, SAMPLE = 0.01, 0.25
 LAG, PLAY = 2.0, 0.04
 OFF = np.radians(5.0)
 WHITE = MultipleShooting(disturbances="none", coloured="never")
-SHIP = Model(
-    "ship",
-    states=(State("psi", "rad", scale=0.3), State("r", "rad/s", scale=0.05)),
-    inputs=(Input("delta", "rad"),),
-    outputs=(Output("psi", "rad", noise_std=0.002), Output("r", "rad/s", noise_std=0.0005)),
-    kinematics={"psi": "r", "r": "(K*delta - r)/T"},
-    parameters=(
-        Parameter("K", 0.12, "1/s", lower=0.01, upper=2.0),
-        Parameter("T", 8.0, "s", lower=0.5, upper=100.0),
-    ),
-    step=SAMPLE,
-)
+SHIP = nomoto(0.12, 8.0, noise=(0.002, 0.0005), rudder="delta", step=SAMPLE)
 RUDDERS = {
     "lag": actuator_lag("rudder_lag", "delta", scale=1.0, value=1.0),
     "play": backlash("rudder_play", "delta", scale=0.03, value=0.03),

@@ -47,10 +47,11 @@ def record(name: str, rng: np.random.Generator, cubic: float = 0.0, **noise: flo
     """A zigzag by the clock, with sensor noise and a random yaw acceleration.
 
     ``colour`` is the correlation of sensor noise from sample to sample; ``force`` the
-    standard deviation of the acceleration, correlated over one second.
+    standard deviation of the acceleration, correlated over one second; ``amplitude`` of the rudder.
     """
     t = np.arange(0.0, 60.0, SAMPLE)
-    rudder = 0.5 * np.sign(np.sin(2 * np.pi * t / rng.uniform(14.0, 20.0))) * (t > 3)
+    swing = noise.get("amplitude", 0.5)
+    rudder = swing * np.sign(np.sin(2 * np.pi * t / rng.uniform(14.0, 20.0))) * (t > 3)
     outputs, state = np.empty((len(t), 2)), np.zeros(2)
     force, memory = 0.0, np.exp(-SAMPLE)
     for k, angle in enumerate(rudder):
