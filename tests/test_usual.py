@@ -27,7 +27,7 @@ from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import Force, Parameter, amplitude, quadratic_drag
+from oed_sysid.physics import Force, Parameter, amplitude
 from oed_sysid.physics.bodies import rigid_body
 from oed_sysid.physics.channels import Input
 from oed_sysid.physics.model import Model
@@ -403,22 +403,6 @@ def test_one_start_value_of_the_wrong_sign_says_nothing() -> None:
     fit = MultipleShooting().fit(wrong, runs())
     assert fit.values["b"] == pytest.approx(TRUE["b"], rel=0.1)
     assert not [concern for concern in fit.concerns if concern.kind == "input_factor"]
-
-
-def test_search_says_so_as_well() -> None:
-    """`improve` finds nothing missing in a log with a reversed rudder, and says what it holds."""
-    data = runs(factor=-1.0)
-    train, test = Dataset((data[0],)), Dataset((data[1],))
-    absent = replace(quadratic_drag("drag", "N", "r"), terms={"r": "-E_drag*r*abs(r)"})
-    found = improve(SHIP_WAY, train, test, candidates=[absent])
-    assert not found.steps
-    nominal = {p.name: p.value for p in SHIP_WAY.free_parameters}
-    (said,) = input_factors(found.fit, nominal)
-    assert said.factor == -1.0
-    assert set(said.values) == {"K", "b"}
-    assert found.remains.kind == "log suspect"
-    assert found.log is not None
-    assert [f.says for f in found.log.findings if f.kind == "input_factor"] == [said.text]
 
 
 @pytest.mark.parametrize("name", ["remus_diving_plane", "catamaran"])
