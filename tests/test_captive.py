@@ -11,6 +11,7 @@ from golden_files import restored
 from marks import slow
 from motion import outputs, states
 
+from benchmarks.truth import gauss_markov
 from oed_sysid.baselines import MultipleShooting, OutputError, Solver
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, UnitWarning
@@ -79,9 +80,7 @@ def pushed() -> Dataset:
     """The zigzag in gusts that remember two seconds."""
     (record,) = zigzag()
     rng = np.random.default_rng(2)
-    gust = np.zeros((record.n_samples, 2))
-    for k in range(1, len(gust)):
-        gust[k] = 0.9 * gust[k - 1] + rng.standard_normal(2)
+    gust = 2.3 * gauss_markov(rng.standard_normal((record.n_samples, 2)), 0.9)
     gusts = (Input("gust_Y", "N", interpolation="linear"), Input("gust_N", "N m"))
     model = replace(ship(), inputs=(*ship().inputs, *gusts))
     model = model + Force("gusts", {"Y": "gust_Y", "N": "gust_N"})

@@ -10,6 +10,7 @@ import pytest
 from altered import altered, trials
 from kinematic_logs import DIVER, SHIP, Vehicle, log
 
+from benchmarks.truth import gauss_markov
 from oed_sysid.cli import main
 from oed_sysid.data.dataset import Dataset, read_csv, write_csv
 from oed_sysid.errors import ModelError
@@ -90,9 +91,7 @@ def test_clean_noise_holds_no_groups() -> None:
     for seed in range(200):
         rng = np.random.default_rng((1, seed))
         noise = rng.standard_normal(TIMES.size)
-        if seed % 2:
-            for k in range(1, noise.size):
-                noise[k] = 0.8 * noise[k - 1] + 0.6 * noise[k]
+        noise = gauss_markov(noise, 0.8) if seed % 2 else noise
         series = np.sin(0.5 * TIMES) + 0.05 * noise
         alarms += len(bursts(TIMES, series, np.zeros(TIMES.size, dtype=bool), 8.5, 0.02))
     assert alarms == 0

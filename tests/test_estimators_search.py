@@ -11,6 +11,7 @@ from scipy import stats
 from scipy.optimize import minimize
 from test_estimators import TEST, YAW
 
+from benchmarks.truth import gauss_markov
 from oed_sysid import Dataset, Model, load_problem, simulate, simulate_inputs
 from oed_sysid.baselines import DifferentialSwarm, EquationError, GibbsRegression, OutputError
 from oed_sysid.baselines.equations import exact_rates
@@ -91,11 +92,8 @@ def test_joint_draws_mix_better() -> None:
 def test_effective_draws_of_an_autoregression() -> None:
     """For an AR(1) chain the number is the known share (1 - a)/(1 + a)."""
     rng = np.random.default_rng(6)
-    noise = rng.standard_normal((4, 20000))
-    series = np.zeros_like(noise)
-    for k in range(1, noise.shape[1]):
-        series[:, k] = 0.8 * series[:, k - 1] + noise[:, k]
-    share = effective_draws(series[:, :, None])[0] / noise.size
+    series = gauss_markov(rng.standard_normal((4, 20000)), 0.8, axis=1)
+    share = effective_draws(series[:, :, None])[0] / series.size
     assert share == pytest.approx(0.2 / 1.8, rel=0.1)
 
 

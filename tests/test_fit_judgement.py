@@ -20,6 +20,7 @@ from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import believed
 from benchmarks.random_forces.simulator import simulate as simulate_worlds
 from benchmarks.random_forces.trial import dataset, nominal_model
+from benchmarks.truth import gauss_markov
 from oed_sysid.baselines import JointKalmanFilter
 from oed_sysid.cli import SUSPECT, main
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
@@ -307,10 +308,7 @@ def test_colour_counts_independent_samples() -> None:
     rng = np.random.default_rng(4)
 
     def colour(record: Record) -> np.ndarray:
-        slow = np.zeros(record.outputs.shape)
-        for k in range(1, len(slow)):
-            slow[k] = 0.7 * slow[k - 1] + np.sqrt(1 - 0.49) * rng.standard_normal(2)
-        return record.outputs + NOISE * slow
+        return record.outputs + NOISE * gauss_markov(rng.standard_normal(record.outputs.shape), 0.7)
 
     fit = WHITE.fit(yaw_model(), changed(yaw_data(6, noise=np.zeros(2)), colour))
     shares = {c.signal: c.size for c in fit.concerns if c.kind == "autocorrelation"}
@@ -415,9 +413,7 @@ def test_an_exact_input_is_no_noise_however_rough() -> None:
     rng = np.random.default_rng(5)
     model, data = yaw_model(), []
     for n in (300, 240, 200):
-        times, gust = np.arange(n) * 0.5, np.zeros(n)
-        for k in range(1, n):
-            gust[k] = 0.9 * gust[k - 1] + 0.02 * rng.standard_normal()
+        times, gust = np.arange(n) * 0.5, 0.05 * gauss_markov(rng.standard_normal(n), 0.9)
         rudder = 0.25 * np.sign(np.sin(2.0 * np.pi * times / 30.0)) + gust
         clean = simulate_yaw(times, rudder, np.zeros(2), TRUE)
         seen = clean + NOISE * rng.standard_normal(clean.shape)

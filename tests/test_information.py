@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 from test_design import DOUBLET, LIMITS, quick, sea, ship
 from yaw_vehicle import NOISE, TRUE, yaw_data, yaw_model
 
+from benchmarks.truth import gauss_markov
 from oed_sysid import Dataset, Experiment, Model, NoiseModel, Sea, load_problem, simulate_inputs
 from oed_sysid.design import accuracy_range
 from oed_sysid.errors import DesignError
@@ -112,8 +112,7 @@ def test_nothing_to_estimate() -> None:
 
 def ar1(n: int, memory: float, rng: np.random.Generator, columns: int = 1) -> np.ndarray:
     """Stationary first-order autoregressive noise of unit variance, ``(n, columns)``."""
-    white = rng.standard_normal((n + 500, columns)) * np.sqrt(1 - memory**2)
-    return lfilter([1.0], [1.0, -memory], white, axis=0)[500:]
+    return gauss_markov(rng.standard_normal((n, columns)), memory)
 
 
 def test_autocorrelation_is_the_direct_sum() -> None:
@@ -206,7 +205,7 @@ def test_missing_samples_do_not_count() -> None:
 def test_colour_shows_between_missing_rows(stride: int) -> None:
     """A series with empty rows in between is as coloured as without them."""
     rng = np.random.default_rng(3)
-    series = lfilter([1.0], [1.0, -0.9], rng.standard_normal(2000))
+    series = gauss_markov(rng.standard_normal(2000), 0.9)
     sparse = np.full(2000 * stride, np.nan)
     sparse[1::stride] = series
     assert effective_sample_size(sparse) == pytest.approx(effective_sample_size(series))

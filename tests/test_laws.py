@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from steered_ship import LEVEL, NOISE, PERIOD, TIME, WIDTH, YAW, Share, nothing, sailed
 
+from benchmarks.truth import gauss_markov
 from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, Record, State
 from oed_sysid.evidence.improve import improve
 from oed_sysid.likelihood import laws as laws_module
@@ -155,9 +156,7 @@ def test_slow_noise_of_a_sensor_that_follows_the_motion() -> None:
         runs = []
         for seed in (3, 4):
             run = sailed(seed, 0.5, nothing, drift=drift, level=0.0)
-            slow = np.zeros(len(run.times))
-            for k in range(1, len(slow)):
-                slow[k] = 0.95 * slow[k - 1] + 0.002 * rng.standard_normal()
+            slow = 0.0064 * gauss_markov(rng.standard_normal(run.n_samples), 0.95)
             runs.append(run.with_outputs(run.outputs + slow[:, None] * [0.0, 1.0]))
         noise = NoiseModel(
             np.full(2, NOISE), np.array([0.0, 0.01]), np.zeros(0), TIME, TIME, ("psi", "r"), ()

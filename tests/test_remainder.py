@@ -12,6 +12,7 @@ from marks import slow
 from simple_models import nomoto
 from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
 
+from benchmarks.truth import gauss_markov
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, improve
 from oed_sysid.evidence.compare import forecasts
 from oed_sysid.evidence.preparation import coarser, prepared
@@ -46,9 +47,7 @@ def runs(slow: float, seed: int) -> list[Record]:
         times = np.arange(0.0, 120.0, 0.1)
         push = np.repeat(rng.choice([-0.4, 0.0, 0.4], 30), 40)
         run = simulate_inputs(CART, times, inputs={"push": push}).outputs
-        drift = np.zeros(len(times))
-        for k in range(1, len(times)):
-            drift[k] = 0.99 * drift[k - 1] + slow * np.sqrt(1 - 0.99**2) * rng.standard_normal()
+        drift = slow * gauss_markov(rng.standard_normal(len(times)), 0.99)
         seen = run + (drift + FINE * rng.standard_normal(len(times)))[:, np.newaxis]
         found.append(Record(name, times, push[:, np.newaxis], seen, CART.channels))
     return found
@@ -226,6 +225,8 @@ def test_a_wall_is_no_sea(law: steered_ship.Share, kind: str) -> None:
         assert "psi" in force.signals
         assert force.statistic > 2 * force.needed
     assert bool(left.follows) is (law is wall)
+    # The forces themselves say so, where whole runs say nothing.
+    assert replace(left, training=whole(forces=True), validation=None).kind == kind
 
 
 def test_lagged_products() -> None:

@@ -11,6 +11,7 @@ from marks import slow
 from motion import ran
 from scipy.integrate import solve_ivp
 
+from benchmarks.truth import gauss_markov
 from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Record, Solver, State
 from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.errors import ModelError
@@ -139,8 +140,7 @@ def test_a_stiff_model_is_fitted(disturbances: str | tuple[str, ...]) -> None:
     inputs = drive_inputs(times)
     gust = np.zeros((len(times), 1))
     if disturbances != "none":  # a disturbance force of 0.05 rad/s2 and 0.5 s
-        for k in range(1, len(times)):
-            gust[k] = np.exp(-0.2) * gust[k - 1] + 0.05 * np.sqrt(1 - np.exp(-0.4)) * rng.normal()
+        gust = 0.05 * gauss_markov(rng.normal(size=gust.shape), np.exp(-0.2))
     shaken = replace(
         DRIVE,
         inputs=(*DRIVE.inputs, Input("gust", "rad/s^2")),

@@ -14,6 +14,7 @@ from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import believed
 from benchmarks.random_forces.simulator import simulate as drawn_sets
 from benchmarks.random_forces.trial import dataset, nominal_model
+from benchmarks.truth import gauss_markov
 from oed_sysid import Dataset, Fit, Model, MultipleShooting, NoiseModel, Record, Solver, replayed
 from oed_sysid.design.knowledge import _information
 from oed_sysid.export import export
@@ -60,9 +61,7 @@ def run(start: np.ndarray, zero: float, force: np.ndarray | None = None) -> np.n
 def disturbed(seed: int) -> Record:
     """A run under a slow force, its helm half a degree off."""
     rng = np.random.default_rng(seed)
-    phi, force = np.exp(-STEP / TIME), np.zeros(len(TIMES))
-    for k in range(1, len(TIMES)):
-        force[k] = phi * force[k - 1] + np.sqrt(1 - phi**2) * LEVEL * rng.standard_normal()
+    force = LEVEL * gauss_markov(rng.standard_normal(len(TIMES)), np.exp(-STEP / TIME))
     seen = run(np.array([0.05, 0.004]), 0.01, force) + SIGMA * rng.standard_normal((len(TIMES), 2))
     return Record("sea", TIMES, RUDDER[:, None], seen, SHIP.channels)
 
