@@ -14,9 +14,10 @@ from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
 
 from benchmarks.truth import gauss_markov
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, improve
+from oed_sysid.evidence import remainder
 from oed_sysid.evidence.compare import forecasts
 from oed_sysid.evidence.preparation import coarser, prepared
-from oed_sysid.evidence.remainder import RandomForceFound, Remains, remains
+from oed_sysid.evidence.remainder import REMAINDER_LIMIT, RandomForceFound, Remains, remains
 from oed_sysid.evidence.study import Study
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.information import lagged_products
@@ -61,6 +62,30 @@ def test_slow_misfit_far_above_the_fast_content_is_not_certified(slow: float, ki
     assert found.remains.kind == kind
     assert found.verdict == ("unexplained" if slow else "nothing_missing")
     assert ("noise_std" in found.conclusion) == (slow > 0)
+
+
+def dragged(seed: int, amplitude: float) -> Record:
+    """Forty seconds of the cart with a little quadratic drag, 0.03 kg/m."""
+    rng, times, u, rows = np.random.default_rng(seed), 0.1 * np.arange(400), 0.0, []
+    push = amplitude * np.repeat(rng.choice([-1.0, 0.0, 1.0], 10), 40)
+    for one in push:
+        rows.append(u + 0.002 * rng.standard_normal())
+        for _ in range(4):
+            u += 0.025 * (one - u - 0.03 * u * abs(u)) / 2.0
+    return Record(f"{seed}", times, push[:, None], np.array(rows), CART.channels)
+
+
+def test_a_verdict_is_asked_with_the_noise_that_it_names() -> None:
+    """Forces that are not real do not widen what sensors may have left of validation runs."""
+    sensed = replace(CART, outputs=(Output("u", "m/s", noise_std=0.002),))
+    train, test = (Dataset((dragged(*one),)) for one in ((3, 0.4), (53, 0.8)))
+    found = improve(sensed, train, test, candidates=[DRY], terms=False)
+    assert found.fit.noise.has_forces
+    left = found.remains
+    assert left.forces < REMAINDER_LIMIT
+    assert not left.training.process_noise
+    assert left.validation.outputs[0].z == pytest.approx(5.4, abs=0.3)  # 4 is noise
+    assert left.kind == "structure missing"
 
 
 def whole(
@@ -203,6 +228,18 @@ def test_short_records_do_not_tell_level_from_time(level: float) -> None:
     assert max(force.level, force.elsewhere) > 2.0 * min(force.level, force.elsewhere)
     assert force.told is (level == 32.0)
     assert force.is_the_same_elsewhere is (level == 8.0)
+
+
+def test_forces_that_are_real_together_are_named_and_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each costs little to leave out where others stand for it, all of them do not."""
+    study, fit = Study.begin(DRIFTER, drifts(19, 8.0, 2), None, (), known_noise=False)
+    costs = iter([31.0, 10.0])
+    monkeypatch.setattr(remainder, "_lost", lambda *_: next(costs))
+    found = remains(study, fit)
+    assert [(one.place, one.gain) for one in found.random] == [("force u", 10.0)]
+    assert found.random[0].level == fit.noise.force[0] > 0.0
+    assert found.follows == ()
+    assert replace(found, training=whole(forces=True)).kind == "disturbance"
 
 
 def wall(r: float, psi: float, lagged: float) -> float:

@@ -248,6 +248,9 @@ def _result(
         )
         for one, fit, own in zip(state.added, fits[1:], rms, strict=True)
     )
+    judged = fits[-1]
+    if end.left.fit is not None:
+        judged = study.result(study.polished(end.left.fit), "improve, what remains")
     if log is not None:
         log = with_estimates(log, fits[-1], state.effects, study.base.values, logs)
     return Improvement(
@@ -256,7 +259,7 @@ def _result(
         steps=steps,
         ranking=end.first,
         location=location,
-        remains=_whole(end.left, fits[-1], study.validation, log),
+        remains=_whole(end.left, judged, study.validation, log),
         yardstick=yardstick,
         proposed=_proposed(end, steps),
         notes=tuple(notes),

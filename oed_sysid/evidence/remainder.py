@@ -17,8 +17,9 @@ adequate           sensor noise alone
 ================== ================================================================================
 
 The likelihood with disturbance forces is compared with that without, everything else estimated
-anew; a force is asked whether its level is the same on the validation records and whether it
-follows motion and commands (:mod:`oed_sysid.likelihood.laws`).
+anew. Where they bring less than chance may, whole runs are judged without them: a verdict is asked
+with the noise that it names. A force is asked whether its level is the same on the validation
+records and whether it follows motion and commands (:mod:`oed_sysid.likelihood.laws`).
 """
 
 from __future__ import annotations
@@ -116,7 +117,7 @@ class Remains:
         Correlation time of the sensors' noise, s; None where white noise
         explains them too.
     random : tuple of RandomForceFound
-        Those that are real, largest gain first.
+        Those that are real, largest gain first; all that act where none of them is alone.
     training, validation : WholeRuns or None
         What whole runs say; None where they were not asked.
     tied : tuple of str
@@ -125,6 +126,8 @@ class Remains:
         Disturbances that are functions of motion and commands; None where that was not asked.
     suspect : str
         Why the log contradicts itself; empty where it does not.
+    fit : FilteredSolution, optional
+        Without disturbances where none is real: whole runs are then asked of it.
 
     Examples
     --------
@@ -139,6 +142,7 @@ class Remains:
     tied: tuple[str, ...] = ()
     follows: tuple[Law, ...] | None = None
     suspect: str = ""
+    fit: FilteredSolution | None = None
 
     @property
     def is_noise(self) -> bool:
@@ -238,18 +242,19 @@ def remains(study: Study, fit: FilteredSolution) -> Remains:
         With estimated noise levels.
     """
     noise = fit.noise
-    if noise.is_white:
-        return Remains(0.0, None)
     every = np.ones(len(noise.force), dtype=bool)
     declared = noise.seas if study.setting.seas else ()
-    forces = max(_without(study, fit, every, declared), 0.0) if noise.has_forces else 0.0
-    time = _sensor_time(study, fit)
-    if forces < REMAINDER_LIMIT:
-        return Remains(forces, time, follows=() if time is None else followed(fit))
+    quiet = _without(study, fit, every, declared)
+    forces = max(_lost(fit, quiet), 0.0)
+    if quiet is not None and forces < REMAINDER_LIMIT:
+        # Small forces that nobody names would widen what whole runs may leave.
+        time = _sensor_time(study, quiet)
+        return Remains(forces, time, follows=() if time is None else followed(quiet), fit=quiet)
     validated = None if study.validation is None else study.on_records(fit, study.validation)
-    found = tuple(sorted(_forces(study, fit, validated), key=lambda force: -force.gain))
-    follows = followed(fit) if found else None
-    return Remains(forces, time, found, follows=follows)
+    acting = sorted(_forces(study, fit, validated), key=lambda force: -force.gain)
+    # Each of some that stand for one another costs little; together they are real.
+    found = tuple(one for one in acting if one.gain > REMAINDER_LIMIT) or tuple(acting)
+    return Remains(forces, _sensor_time(study, fit), found, follows=followed(fit))
 
 
 def followed(fit: FilteredSolution) -> tuple[Law, ...] | None:
@@ -260,7 +265,7 @@ def followed(fit: FilteredSolution) -> tuple[Law, ...] | None:
 def _forces(
     study: Study, fit: FilteredSolution, validated: FilteredSolution | None
 ) -> Iterator[RandomForceFound]:
-    """Every disturbance force that is real, and its level on the validation records."""
+    """Every disturbance force that acts, and its level on the validation records."""
     noise, elsewhere, told = fit.noise, dict[tuple[str, bool], float](), False
     if validated is not None and study.validation is not None:
         elsewhere = {one[:2]: one[2] for one in _strengths(validated.noise)}
@@ -274,12 +279,11 @@ def _forces(
         if narrow_band and seas:
             continue
         gone = none if narrow_band else np.array([place == name for place in noise.places])
-        gain = _without(study, fit, gone, seas if narrow_band else noise.seas)
-        if gain > REMAINDER_LIMIT:
-            other = elsewhere.get((name, narrow_band), np.nan)
-            yield RandomForceFound(
-                name, units.get(name, ""), level, time, gain, other, told, narrow_band
-            )
+        without = _without(study, fit, gone, seas if narrow_band else noise.seas)
+        other = elsewhere.get((name, narrow_band), np.nan)
+        yield RandomForceFound(
+            name, units.get(name, ""), level, time, _lost(fit, without), other, told, narrow_band
+        )
 
 
 def _strengths(noise: NoiseModel) -> Iterator[tuple[str, bool, float, float]]:
@@ -293,10 +297,12 @@ def _strengths(noise: NoiseModel) -> Iterator[tuple[str, bool, float, float]]:
                 yield name, True, level, float(sea.period or np.nan)
 
 
-def _without(study: Study, fit: FilteredSolution, gone: np.ndarray, seas: Sequence[Sea]) -> float:
-    """What dropping some disturbances and all but some seas, all else estimated again, loses."""
+def _without(
+    study: Study, fit: FilteredSolution, gone: np.ndarray, seas: Sequence[Sea]
+) -> FilteredSolution | None:
+    """The fit without some disturbances and all but some seas, all else estimated again."""
     levels = study.levels(replace(fit.noise, seas=tuple(seas)), study.train).without_forces(gone)
-    return _lost(fit, study.with_levels(fit, levels))
+    return study.with_levels(fit, levels)
 
 
 def _lost(fit: FilteredSolution, without: FilteredSolution | None) -> float:
