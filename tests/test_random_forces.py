@@ -103,6 +103,22 @@ def test_disturbed_data_are_found_out(disturbed: Fit) -> None:
     np.testing.assert_array_equal(noise.white, NOISE)
 
 
+def test_correlated_noise_of_the_sensors_is_no_force() -> None:
+    """White and coloured noise of 0.9 s in equal parts: forces had grown to explain the colour."""
+    data, rng = dataset(7), np.random.default_rng(7)
+    coloured = []
+    for one in data:
+        error = np.sqrt(1.0 - 0.8**2) * rng.standard_normal(one.outputs.shape)
+        error[0] = rng.standard_normal(2)
+        for k in range(1, len(error)):
+            error[k] += 0.8 * error[k - 1]
+        coloured.append(one.with_outputs(one.outputs + NOISE * error))
+    fit = MultipleShooting(disturbances="all").fit(SHIP, Dataset(tuple(coloured)))
+    assert not fit.noise.has_forces
+    assert fit.noise.colour == pytest.approx(NOISE, rel=0.3)
+    assert fit.log_likelihood > 4110.0  # 4077 with a force in yaw
+
+
 def test_forces_are_likelier_than_a_white_fit(disturbed: Fit) -> None:
     """The likelihood gains what the test promised, and errors of parameters grow."""
     plain = WHITE.fit(SHIP, disturbed.dataset)

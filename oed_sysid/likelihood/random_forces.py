@@ -493,6 +493,7 @@ def with_colour(found: FilteredSolution, setting: Setting) -> FilteredSolution:
         if again is found:
             break
         found = again
+    found = _at_the_sensors(found, setting)
     noise, has = found.noise, _has_colour(found)
     vanished = has & (noise.colour < 0.02 * setting.white)
     if not vanished.any():
@@ -504,6 +505,20 @@ def with_colour(found: FilteredSolution, setting: Setting) -> FilteredSolution:
         colour=np.where(vanished, 0.0, noise.colour),
     )
     return moved(found, posed(found, setting, noise, has & ~vanished), most).finite or found
+
+
+def _at_the_sensors(found: FilteredSolution, setting: Setting) -> FilteredSolution:
+    """Coloured noise of every sensor in the place of forces, where that is clearly likelier.
+
+    Forces are estimated first, and have then grown to explain what is correlated at the sensors.
+    """
+    noise = found.noise
+    if noise.seas or not (_has_colour(found).any() and np.any(noise.force > 0)):
+        return found
+    loud = np.maximum(noise.colour, setting.white)
+    alone = replace(noise, force=np.zeros_like(noise.force), colour=loud)
+    again = moved(found, posed(found, setting, alone), setting.max_iterations)
+    return _worth(found, again)
 
 
 def _has_colour(found: FilteredSolution) -> np.ndarray:
