@@ -243,10 +243,23 @@ def test_what_noise_hid_in_the_nominal_fit_joins_the_group_beside_the_improved_o
 
 
 def test_whole_runs_may_wander_under_process_noise_only() -> None:
-    """A rise of a tenth is refused in calm water and allowed where forces act."""
+    """A rise of a tenth is refused in calm water, and allowed where forces act: of what predicts.
+
+    Where the validation records are less likely too, they speak against it in both ways.
+    """
     sizes = (30.0, 20.0, 10.0, 1.0, 1.1)
     assert not Claim("x", *sizes, allowed=RISE).stands
     assert Claim("x", *sizes, allowed=RISE_DISTURBED).stands
+    refused = Claim("x", 30.0, -5.0, 10.0, 1.0, 1.1, allowed=RISE_DISTURBED)
+    assert (refused.statistic, refused.decision) == (25.0, "whole runs get worse")
+    assert replace(refused, after=1.01).stands
+
+
+def test_what_stands_and_was_not_taken_says_why() -> None:
+    """One of several that pass, and what does not pass anyway."""
+    strong, weak = Claim("x", 30.0, 20.0, 10.0), Claim("y", 1.0, 2.0, 10.0)
+    assert strong.passed_over("behind z").decision == "passes, behind z"
+    assert weak.passed_over("behind z").decision == "T below threshold"
 
 
 @pytest.mark.parametrize(

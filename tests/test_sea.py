@@ -240,6 +240,8 @@ def test_improve_finds_a_sea_itself(force: str) -> None:
     assert not found.steps
     asked = {one.name: one.stands for one in found.decisions}
     assert asked.get("a sea", False) == (force == "waves")
+    rows = [row for row in found.report().splitlines() if row.startswith("a sea")]
+    assert [row.endswith("stands") for row in rows] == [True] * (force == "waves")
 
 
 def test_processes_in_one_place_add_up() -> None:

@@ -14,6 +14,8 @@ is the prior of the validation records (:mod:`oed_sysid.evidence.study`). It is 
    (Bonferroni; a periodic force counts the frequencies that the records tell apart), both terms
    counted per independent innovation where no process noise is admitted;
 2. the error of the model on its own over whole validation records is finite and does not rise;
+   where process noise acts, runs of the better model may wander, too, but only of one under which
+   the validation records are likelier;
 3. no amplitude ends at a bound beyond which the training records are likelier by more than the
    same threshold, everything estimated again without that bound: else the effect stands for another
    one. With less beyond it, the value rests at its bound.
@@ -66,7 +68,7 @@ class Claim:
     before, after : float
         Errors of whole validation runs, in units of the noise; NaN without any.
     allowed : float
-        Ratio of the two that is no rise.
+        Ratio of the two that is no rise where the validation records are likelier.
     bounds : tuple of str
         Amplitudes that end at a bound.
     beyond : float
@@ -77,6 +79,8 @@ class Claim:
         What both terms are made of, before and after: minus twice the log-likelihood of the
         training records, and the :class:`~oed_sysid.evidence.study.Prediction` of the validation
         records (None without any).
+    behind : str
+        What was taken before it, or why it was not taken, where it stands.
     """
 
     name: str
@@ -90,6 +94,7 @@ class Claim:
     beyond: float = 0.0
     independent: float = 1.0
     models: tuple[tuple[float, Prediction | None], ...] = ()
+    behind: str = ""
 
     @property
     def statistic(self) -> float:
@@ -104,7 +109,9 @@ class Claim:
     @property
     def rises(self) -> bool:
         """Whether whole validation runs get worse, or end."""
-        return worse(self.before, self.after, self.allowed)
+        # Where the validation records are less likely too, nothing in them speaks for it.
+        allowed = RISE if self.validation < 0.0 else self.allowed
+        return worse(self.before, self.after, allowed)
 
     @property
     def held(self) -> bool:
@@ -130,7 +137,13 @@ class Claim:
             return f"{at}, {self.beyond:.1f} likelier beyond"
         if self.rises:
             return "whole runs get worse"
+        if self.behind:
+            return f"passes, {self.behind}"
         return f"stands, {at}" if self.bounds else "stands"
+
+    def passed_over(self, why: str) -> Claim:
+        """The same, not taken where it stands."""
+        return replace(self, behind=why) if self.stands else self
 
     to_dict = as_dict(
         "name", "training", "validation", "statistic", "needed", "before", "after", "decision",

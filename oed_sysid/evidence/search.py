@@ -317,11 +317,16 @@ def with_waves(state: Standing, rival: Claim | None) -> Standing:
     decided = replace(claim(study, fit, found, (), needed), name="a sea")
     if decided.stands and rival is not None and _explained(decided, rival):
         return state  # asked again beside what explains more
-    state = replace(state, decisions=(*state.decisions, decided))
     # A force that follows motion or commands is physics, whatever its period.
-    if not decided.stands or followed(found):
-        return state
-    return replace(state, fit=found, calm=fit.noise, path=(*state.path[:-1], found))
+    if taken := decided.stands and not followed(found):
+        state = replace(state, fit=found, calm=fit.noise, path=(*state.path[:-1], found))
+    else:
+        decided = decided.passed_over("but its forces follow motion or commands")
+    earlier = (
+        one.passed_over("behind a sea") if taken and one is rival else one
+        for one in state.decisions
+    )
+    return replace(state, decisions=(*earlier, decided))
 
 
 def _at_sea(state: Standing) -> tuple[FilteredSolution, list[str]]:
@@ -362,7 +367,8 @@ def choice(
         more = asked_of(state, asked)
         claims += more
         if (lead := leader(ranking, asked, more)) is not None:
-            return lead, tuple(claims)
+            why = f"behind {lead[1].name}"
+            return lead, tuple(one if one is lead[1] else one.passed_over(why) for one in claims)
     return None, tuple(claims)
 
 
@@ -602,6 +608,9 @@ def with_term(
     needed = proposals.needed - sum(state.needed(one.effect) for one in gone)
     *others, term = option.added
     decided = claim(option.study, state.fit, option.fit, [term.effect], needed)
+    if gone:
+        names = " + ".join(one.effect.name for one in gone)
+        decided = replace(decided, name=f"{decided.name} in the place of {names}")
     decisions = (*state.decisions, decided)
     if not decided.stands:
         return replace(state, decisions=decisions), None, tied
