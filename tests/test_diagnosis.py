@@ -602,7 +602,7 @@ def test_one_effect_is_believed_with_its_size() -> None:
 def test_a_group_is_not_believed_to_be_its_first_member() -> None:
     """Rivals are named, with the manoeuvres that they need and the command that designs one."""
     text = "\n".join(advice([step("drag", "bias")], RANKING, ESTIMATES, explained=False))
-    assert "drag or bias is missing" in text
+    assert "drag or bias helps, the validation records agree; it may stand for" in text
     assert "that it is drag (E_drag = 2.00 ± 0.20 N (95 %)): bias does as well" in text
     assert "coasting; several speeds" in text
     assert "--discriminate drag bias" in text

@@ -740,6 +740,20 @@ def test_a_row_repeats_its_texts_for_signals_alike() -> None:
     assert effects.actuator_lag("lag", "port").memory[0].name == "actual"
 
 
+@pytest.mark.parametrize(
+    ("text", "grows"),
+    [
+        ("-E*abs(q)", "the size of pitch rate"),
+        ("-E*q*abs(q)", "the square of pitch rate"),
+    ],
+)
+def test_a_force_by_the_size_of_a_signal_is_said_so(text: str, grows: str) -> None:
+    """It does not change its sign with the signal, which a reader has to know."""
+    model = load_problem("remus_diving_plane").model
+    one = Force("one", {"M": text}, (Parameter("E", 0.0, "N m"),))
+    assert f"pitch moment that grows with {grows}, M = " in f"{in_words(one, model)}, M = "
+
+
 @pytest.mark.parametrize("name", ["remus_diving_plane", "roll_decay", "catamaran"])
 def test_what_an_effect_is_said_to_grow_with_is_what_it_grows_with(name: str) -> None:
     """Of a force told as a product, twice a signal is two to its power times the force."""

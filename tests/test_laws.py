@@ -195,6 +195,7 @@ def test_what_fades_follows_the_time_in_the_run() -> None:
     follows = MultipleShooting().fit(FERRY, train).whole_runs.follows
     assert follows
     assert IN_THE_RUN in follows[0].signals
+    assert follows[0].text.startswith(f"force u follows {' and '.join(follows[0].signals)} (score")
     found = improve(FERRY, train, validation)
     assert [step.added for step in found.steps if step.added] == ["n_fading"]
     size, error = (of["E_n_fading"] for of in (found.fit.values, found.fit.std_errors))

@@ -180,6 +180,8 @@ class Step:
 
 # Verdicts of whole runs that are as noise and disturbances would leave them.
 EXPLAINED = ("adequate", "disturbance")
+# Those that leave open what an effect that was found stands for.
+OPEN = ("structure missing", "not known")
 
 
 @dataclass(frozen=True, eq=False)
@@ -405,8 +407,11 @@ class Improvement:
                 f"the {records} records {before:.3g} × noise{self._sizes()}."
             )
         if not self.steps:
+            shown = "that these records could show"
+            if self.remains.kind == "disturbance":
+                shown = "that these records could show beside disturbance forces"
             return (
-                f"Nothing is missing from {self.base.name} that these records could show: error on "
+                f"Nothing is missing from {self.base.name} {shown}: error on "
                 f"the {records} records {before:.3g} × noise{self._sizes()}."
             )
         names = " and ".join(
@@ -414,8 +419,11 @@ class Improvement:
         )
         goes = "falls" if after < before else "does not fall: it goes"
         them = "it" if len(self.steps) == 1 else "them"
+        begin = f"Missing from {self.base.name}: {names}"
+        if self.remains.kind in OPEN:
+            begin = f"{self.base.name} misses more than was found; it is likelier with {names}"
         return (
-            f"Missing from {self.base.name}: {names}. With {them} the error on the {records} "
+            f"{begin}. With {them} the error on the {records} "
             f"records {goes} from {before:.3g} to {after:.3g} × noise{self._sizes()}; "
             f"{self.remains.kind}."
         )
@@ -466,15 +474,8 @@ class Improvement:
         if not self.decisions:
             return ()
         headers = ("asked", *TERMS, "whole runs before", "after", "decision")
-        added = {step.claim.name for step in self.steps}
         rows = [
-            (
-                one.name,
-                *_terms(one),
-                *_cells(".3g", one.before, one.after),
-                # Of several that pass the likeliest is added; others are asked again beside it.
-                "passes, behind another" if one.stands and one.name not in added else one.decision,
-            )
+            (one.name, *_terms(one), *_cells(".3g", one.before, one.after), one.decision)
             for one in self.decisions
         ]
         return (display.Table(headers, rows, words=(7,)),)
@@ -577,7 +578,7 @@ def advice(result: Improvement) -> list[str]:
     believe, doubt, sea = list[str](), list[str](), list[str]()
     before, kind = result.base_error["test"], result.remains.kind
     for step in result.steps:
-        found, doubts = _judged(step, estimates, before, told=kind in EXPLAINED)
+        found, doubts = _judged(step, estimates, before, kind)
         believe += found
         doubt += doubts
         sea += _manoeuvre(step.group, known, bool(result.base.inputs))
@@ -596,9 +597,9 @@ def advice(result: Improvement) -> list[str]:
 
 
 def _judged(
-    step: Any, estimates: Mapping[str, Mapping[str, Any]], before: float, *, told: bool
+    step: Any, estimates: Mapping[str, Mapping[str, Any]], before: float, kind: str
 ) -> tuple[list[str], list[str]]:
-    """What one step claims, sizes where they are ``told``, and what is not to be believed."""
+    """What one step claims, sizes where noise is left, and what is not to be believed."""
     own = [(estimates[p.name], p) for p in step.effect.parameters if p.name in estimates]
     sizes = [*(_size(*one) for one in own), *_sizes(step)]
     shown, rivals, what = ", ".join(sizes), step.group[1:], " or ".join(step.group)
@@ -623,8 +624,11 @@ def _judged(
         f"{step.added} before a validation record has confirmed it.": np.isnan(predicted),
     }
     agree = ", the validation records agree"
-    sized = f": {shown}" * bool(told and sizes and not rivals)
-    found = [] if any(absent.values()) else [f"{what} is missing{agree * (predicted > 0)}{sized}."]
+    sized = f": {shown}" * bool(kind in EXPLAINED and sizes and not rivals)
+    words = f"{what} is missing{agree * (predicted > 0)}{sized}."
+    if kind in OPEN:
+        words = f"{what} helps{agree * (predicted > 0)}; it may stand for what is still missing."
+    found = [] if any(absent.values()) else [words]
     return found, [text for text, applies in doubts.items() if applies]
 
 

@@ -102,8 +102,7 @@ class Law:
     def text(self) -> str:
         """In words, for instance ``force Z follows z (score 515; by chance 81)``."""
         score = f"score {self.statistic:.0f}; by chance {self.needed:.0f}"
-        what = ": something fades or warms up" if IN_THE_RUN in self.signals else ""
-        return f"{self.place} follows {' and '.join(self.signals)}{what} ({score})"
+        return f"{self.place} follows {' and '.join(self.signals)} ({score})"
 
     to_dict = as_dict("place", "signals", "statistic", "freedom", "needed")
 

@@ -106,7 +106,11 @@ def _grows(what: str, factors: Counter[str], labels: Mapping[str, str]) -> str:
         powers[name.strip("|")] += power
     if not powers:
         return f"constant {what}"
-    named = [f"{_POWERS.get(n, f'power {n} of ')}{labels[one]}" for one, n in powers.items()]
+    # Of |p| alone; p|p| is said to grow with the square, as the field does.
+    sized = {one: "the size of " * (one not in factors) for one in powers}
+    named = [
+        f"{_POWERS.get(n, f'power {n} of ')}{sized[one]}{labels[one]}" for one, n in powers.items()
+    ]
     return f"{what} that grows with {' times '.join(named)}"
 
 
