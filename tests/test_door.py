@@ -266,3 +266,26 @@ def test_a_rig_of_which_no_field_is_known(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
     folder = new_problem(tmp_path / "rig", log=log, inputs=("Pumpe",))
     assert set(load_problem(folder).model.input_names) == {"Pumpe"}
+
+
+def test_setpoints_and_integrators_are_no_measurements() -> None:
+    """What PX4 defines stands above words, of many fields too; what was wanted is none."""
+    s, noise = circle(), np.random.default_rng(5)
+    topics = {
+        "rate_ctrl_status": (T, {"yawspeed_integ": 0.1 * s["r"]}),
+        "vehicle_attitude_setpoint": (T, {"pitch_body": 0.1 * s["r"], "yaw_body": s["psi"]}),
+        "vehicle_imu": (T, {"delta_angle_dt": 4900.0 + s["r"]}),
+        "vehicle_local_position": (T, {"heading": s["psi"]}),
+        "esc_status": (T, {f"speed_rate_{k}": noise.normal(size=T.size) for k in range(50)}),
+        "vehicle_angular_velocity": (T, {"xyz[2]": s["r"]}),
+    }
+    log = assemble(Path("a.ulg"), "test", topics)
+    found = recognise(log)
+    assert found["psi"].field == "vehicle_local_position.heading"
+    assert found["r"].field == "vehicle_angular_velocity.xyz[2]"
+    assert found.get("theta") is None
+    assert found.get("rudder") is None
+    why = {row["field"]: row["because"] for row in found.rows(log)}
+    assert "wanted, not measured" in why["vehicle_attitude_setpoint.yaw_body"]
+    record = import_log(log, draft(log)).dataset[0]
+    np.testing.assert_allclose(record.output("r"), s["r"], atol=1e-9)

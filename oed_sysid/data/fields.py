@@ -21,6 +21,9 @@ from oed_sysid.data.log import TABLE, Log, Series, meaning, symbol_of
 from oed_sysid.data.record import TURN, clear_wraps, unwrapped
 from oed_sysid.text.units import converts, is_unit, to_si
 
+# Roles of measured motion, and of commands.
+MOTION = ("psi", "r", "phi", "p", "theta", "q", "u", "v", "w", "x", "y", "z")
+COMMANDS = ("rudder", "rpm", "thrust")
 # Probability from which on a choice is not asked. At 0.9 one mirrored log in ten passes unasked.
 SURE = 0.95
 # Independent samples of a motion whose record may be long but has few manoeuvres; all evidence
@@ -76,16 +79,14 @@ class Field:
         wraps = clear_wraps(values)
         jumps = 0.0 if wraps is None else wraps[0]
         smooth = unwrapped(values, period=jumps) if jumps else values
-        stated = series.unit if series.unit and is_unit(series.unit) else ""
-        role, letters = meaning(series.name, stated)
-        defined = symbol_of(series.name, by_name=False)
+        hint, weight = hint_of(series)
         return cls(
             series.name,
             _block_means(at, smooth, times),
-            stated,
+            _stated(series),
             float(values.min()),
-            defined or role,
-            DEFINED if defined else NAMED * min(letters / 4.0, 1.0),
+            hint,
+            weight,
             jumps,
         )
 
@@ -128,7 +129,7 @@ class Fields:
     def __init__(self, log: Log, time_unit: str) -> None:
         every = _usable(log)
         if len(every) > MOST_FIELDS:  # those with meaningful names first
-            every = sorted(every, key=lambda one: -meaning(one.name)[1])[:MOST_FIELDS]
+            every = sorted(every, key=lambda one: -hint_of(one)[1])[:MOST_FIELDS]
         times = _grid(log, every)
         self.times = times * (factor(time_unit) / factor(log.clock_unit or "s"))
         self.every = [Field.of(one, times) for one in every]
@@ -193,13 +194,32 @@ class Fields:
             yield Reading(score, index, unit, int(np.sign(slope) or 1), sure, fits)
 
 
+def _stated(series: Series) -> str:
+    """Unit of a series, empty where nobody says it."""
+    return series.unit if series.unit and is_unit(series.unit) else ""
+
+
+def hint_of(series: Series) -> tuple[str, float]:
+    """What a field's name means, and the nats that it is worth: a role, or what is none.
+
+    A format's own definition stands above words. What was wanted may be a command, be it the
+    setpoint of a rudder, but is no measured motion.
+    """
+    role, letters = meaning(series.name, _stated(series))
+    defined = symbol_of(series.name, by_name=False)
+    if defined and not (defined == "setpoint" and role in COMMANDS):
+        return defined, DEFINED
+    return role, NAMED * min(letters / 4.0, 1.0)
+
+
 def _usable(log: Log) -> list[Series]:
-    """Fields that change and are no clock."""
+    """Fields that change, are no clock, and are not said to be something else than motion."""
     found = []
     for one in log.series:
         good = np.isfinite(one.values)
-        clock = log.clock and one.name.endswith(f".{log.clock}")
-        if good.sum() > 4 and np.ptp(one.values[good]) > 0.0 and not clock:
+        other = log.clock and one.name.endswith(f".{log.clock}")
+        other = other or hint_of(one)[0] in TABLE["unmeasured"]
+        if good.sum() > 4 and np.ptp(one.values[good]) > 0.0 and not other:
             found.append(one)
     return found
 

@@ -71,7 +71,7 @@ def unit_of(name: str) -> str | None:
     ('1', 'deg', None)
     """
     for pattern, unit, _ in _KNOWN:
-        if pattern.fullmatch(name):
+        if unit and pattern.fullmatch(name):
             return unit
     bare = re.sub(r"\[\d+\]$", "", name)
     for ending, unit in TABLE["endings"]:

@@ -29,6 +29,8 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.fields import (
+    COMMANDS,
+    MOTION,
     NAMED,
     NOTHING,
     SPURIOUS,
@@ -42,6 +44,7 @@ from oed_sysid.data.fields import (
     chances,
     explained,
     factor,
+    hint_of,
     integrals,
     likeliest,
     line,
@@ -55,9 +58,6 @@ from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.runtime.display import align, as_dict
 from oed_sysid.text.units import converts, is_unit, parse_header, shown_unit, to_si
 
-# Roles of measured motion, and of commands.
-MOTION = ("psi", "r", "phi", "p", "theta", "q", "u", "v", "w", "x", "y", "z")
-COMMANDS = ("rudder", "rpm", "thrust")
 RATES = {"psi": "r", "phi": "p", "theta": "q"}
 TIMES = {"s": 0.0, "ms": -1.0, "us": -2.0, "min": -2.0, "h": -4.0}
 
@@ -185,7 +185,8 @@ def _unread(one: Series, log: Log) -> str:
     good = one.values[np.isfinite(one.values)]
     if good.size < 5:
         return f"it has {good.size} numbers"
-    return "neither name nor numbers tell it" if np.ptp(good) > 0.0 else "it never moves"
+    why = TABLE["unmeasured"].get(hint_of(one)[0], "neither name nor numbers tell it")
+    return why if np.ptp(good) > 0.0 else "it never moves"
 
 
 def _read(one: Guess, log: Log) -> tuple[np.ndarray, str]:
