@@ -289,3 +289,21 @@ def test_setpoints_and_integrators_are_no_measurements() -> None:
     assert "wanted, not measured" in why["vehicle_attitude_setpoint.yaw_body"]
     record = import_log(log, draft(log)).dataset[0]
     np.testing.assert_allclose(record.output("r"), s["r"], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("header", "unit", "port"),
+    [("n_{} [rad/s]", 1.0, "n_port"), ("{} shaft [rpm]", 1 / 60, "port_shaft")],
+)
+def test_two_propellers_are_two_inputs(header: str, unit: float, port: str) -> None:
+    """Commands of one kind keep their fields' names, in revolutions or radians; both are asked."""
+    s, ahead = circle(), 30.0 + 5.0 * np.sin(0.05 * T)
+    columns = {header.format("port"): ahead, header.format("stbd"): 0.9 * ahead}
+    topic = {"Kurs [rad]": s["psi"], "Gierrate [rad/s]": s["r"], **columns}
+    log = assemble(Path("a.csv"), "test", {"a": (T, topic)})
+    guesses = [one for one in recognise(log).guesses if one.channel]
+    assert [one.doubts for one in guesses] == [("field",), ("field",)]
+    record = import_log(log, draft(log)).dataset[0]
+    np.testing.assert_allclose(record.input(port), unit * ahead, rtol=1e-12)
+    stbd = port.replace("port", "stbd")
+    np.testing.assert_allclose(record.input(stbd), 0.9 * unit * ahead, rtol=1e-12)

@@ -689,3 +689,20 @@ def test_matlab_file_that_breaks_off_is_refused(tmp_path: Path) -> None:
             torn.write_bytes(content[:length])
             with pytest.raises(DataError, match=r"torn\.mat"):
                 opened_here(torn)
+
+
+def test_engines_of_nmea_are_apart(tmp_path: Path) -> None:
+    """Sentences of two engines and of a rudder are three commands, each in its unit."""
+    lines = []
+    for k in range(60):
+        texts = (f"HEHDT,{100 + k % 20:.1f},T", f"IIRSA,{k % 7}.0,A,,",
+                 f"IIRPM,S,1,{200 + k % 5}.0,0,A", f"IIRPM,S,2,{300 + k % 5}.0,0,A")  # fmt: skip
+        lines += [f"{k}.0 {writers.sentence(text)}" for text in texts]
+    path = tmp_path / "ferry.nmea"
+    path.write_text("\n".join(lines))
+    made = draft(open_log(path))
+    assert made is not None
+    record = import_log(open_log(path), made).dataset[0]
+    assert record.input("rudder").max() == pytest.approx(np.radians(6.0))
+    assert record.input("IIRPM_S1_speed").max() == pytest.approx(204.0 / 60.0)
+    assert record.input("IIRPM_S2_speed").max() == pytest.approx(304.0 / 60.0)

@@ -23,7 +23,7 @@ from oed_sysid.text.units import converts, is_unit, to_si
 
 # Roles of measured motion, and of commands.
 MOTION = ("psi", "r", "phi", "p", "theta", "q", "u", "v", "w", "x", "y", "z")
-COMMANDS = ("rudder", "rpm", "thrust")
+COMMANDS = ("rudder", "rpm", "shaft_speed", "thrust")
 # Probability from which on a choice is not asked. At 0.9 one mirrored log in ten passes unasked.
 SURE = 0.95
 # Independent samples of a motion whose record may be long but has few manoeuvres; all evidence

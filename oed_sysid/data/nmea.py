@@ -89,6 +89,8 @@ def _sentences(path: Path) -> tuple[list[_Parsed], int]:
         before, sentence = _parsed(line)
         if sentence is not None:
             topic = f"{getattr(sentence, 'talker', '') or ''}{sentence.sentence_type}"
+            if sentence.sentence_type == "RPM":  # engines (E) and shafts (S) take turns
+                topic += f"_{sentence.source}{sentence.engine_no}"
             parsed.append((topic, _numbers(sentence), _stamp(before), _time_of_day(sentence)))
     return parsed, len(lines) - len(parsed)
 

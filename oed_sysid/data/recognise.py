@@ -19,8 +19,9 @@ names tell, and where they are weak it is asked.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import permutations, product
@@ -84,6 +85,8 @@ class Guess:
         What should be asked: ``field``, ``unit``, ``sign``.
     why : str
         What told it.
+    channel : str
+        Name under which it is written; empty where that is its role.
 
     Examples
     --------
@@ -99,8 +102,20 @@ class Guess:
     trim: float = 0.0
     doubts: tuple[str, ...] = ()
     why: str = ""
+    channel: str = ""
 
-    to_dict = as_dict("role", "field", "unit", "sign", "wrap", "trim", "doubts", "why")
+    to_dict = as_dict(
+        "role", "field", "unit", "sign", "wrap", "trim", "doubts", "why", channel="name"
+    )
+
+    @property
+    def name(self) -> str:
+        """Name under which it is written: of a channel, or its role."""
+        return self.channel or self.role
+
+    def asked(self, *doubts: str) -> Guess:
+        """The guess with more to be asked."""
+        return replace(self, doubts=tuple(dict.fromkeys((*self.doubts, *doubts))))
 
 
 @dataclass(frozen=True)
@@ -141,7 +156,7 @@ class Recognised:
             turned = " reversed" if one.sign < 0 else ""
             asked = f" Please confirm: {', '.join(one.doubts)}." if one.doubts else ""
             wraps = ", within one turn" if one.wrap else ""
-            lines.append(f"{one.role} = {one.field} [{one.unit}]{turned}{wraps}: {one.why}.{asked}")
+            lines.append(f"{one.name} = {one.field} [{one.unit}]{turned}{wraps}: {one.why}.{asked}")
         return lines
 
     def rows(self, log: Log) -> list[dict[str, str]]:
@@ -149,7 +164,7 @@ class Recognised:
         return [
             {
                 "field": one.field,
-                "is": ("-" if one.sign < 0 else "") + one.role,
+                "is": ("-" if one.sign < 0 else "") + one.name,
                 "as logged": _reach(log[one.field].values, one.unit),
                 "as read": _reach(*_read(one, log)),
                 "because": one.why,
@@ -234,8 +249,34 @@ def recognise(log: Log) -> Recognised:
     best = max(works, key=lambda one: one.score)
     chance = chances([one.score for one in works])[works.index(best)]
     found = best.result(("unit",) * bool(chance < SURE))
-    held = {one.role: one for one in _held(log) if found.get(one.role) is None}
-    return replace(found, guesses=(*found.guesses, *held.values()))
+    held = (one for one in _held(log) if found.get(one.role) is None)
+    return replace(found, guesses=(*_told_apart([*found.guesses, *held]),))
+
+
+def _told_apart(guesses: Sequence[Guess]) -> Iterator[Guess]:
+    """Commands of which there are several, such as two propellers, under their fields' own names.
+
+    Two of a kind, or one that was wanted and one that was measured: it is asked.
+    """
+    roles = Counter(one.role for one in guesses)
+    short = {one.field: _identifier(one.field.partition(".")[2]) for one in guesses}
+    for one in guesses:
+        if roles[one.role] == 1:
+            yield one
+            continue
+        own = short[one.field]
+        same = [*short.values()].count(own) > 1 or roles[own] == 1
+        yield replace(one, channel=_identifier(one.field) if same else own).asked("field")
+
+
+def _identifier(field: str) -> str:
+    """Name of a field as that of a channel.
+
+    >>> _identifier("Drehzahl Bb [1/min]"), _identifier("IIRPM_2.speed")
+    ('Drehzahl_Bb', 'IIRPM_2_speed')
+    """
+    text = re.sub(r"\W+", "_", parse_header(field)[0]).strip("_")
+    return text if text[:1].isalpha() else f"command_{text}"
 
 
 def _held(log: Log) -> Iterator[Guess]:
@@ -567,9 +608,11 @@ class _Work:
     ) -> None:  # fmt: skip
         """Give a field, if there is one, a role."""
         if one.at >= 0:
-            self.at[role], asked = one.at, tuple(dict.fromkeys(doubts))
-            name = self.fields.every[one.at].name
-            self.found[role] = Guess(role, name, one.unit, sign, wrap, trim, asked, why)
+            asked, name = tuple(dict.fromkeys(doubts)), self.fields.every[one.at].name
+            # Of a motion there is one, of a command there may be several.
+            key = name if role in COMMANDS else role
+            self.at[key] = one.at
+            self.found[key] = Guess(role, name, one.unit, sign, wrap, trim, asked, why)
 
     def series(self, role: str) -> np.ndarray | None:
         """A role that was found for certain, SI ``(n,)``."""
@@ -718,12 +761,15 @@ class _Work:
             )  # fmt: skip
         for angle in RATES:
             if angle not in self.found:
-                self._by_name(angle)
+                self._by_name(angle, range(len(self.fields.every)))
             if angle in self.found and RATES[angle] not in self.found:
                 self._euler(angle)
-        for role in (*MOTION, *COMMANDS):
+        for role in MOTION:
             if role not in self.found:
-                self._by_name(role)
+                self._by_name(role, range(len(self.fields.every)))
+        for i, one in enumerate(self.fields.every):
+            if one.hint in COMMANDS:
+                self._by_name(one.hint, [i])
 
     def _euler(self, angle: str) -> None:
         """A rate that is one of an angle with the other angles and rates taken into account."""
@@ -745,14 +791,14 @@ class _Work:
         # Through the other angles their doubtful signs are its own.
         leading = (one for one in self.found.values() if one.role in (*RATES, "q", "r"))
         if role in self.found and any("sign" in one.doubts for one in leading):
-            self.found[role] = _asked(self.found[role], "sign")
+            self.found[role] = self.found[role].asked("sign")
 
-    def _by_name(self, role: str) -> None:
+    def _by_name(self, role: str, among: Iterable[int]) -> None:
         """Take the field that is called so."""
         rows = [
             Reading(nats, i, unit)
-            for i, one in enumerate(self.fields.every)
-            if i not in self.at.values() and one.hint == role
+            for i in among
+            if i not in self.at.values() and self.fields.every[i].hint == role
             for unit, nats in self.fields.options(i, role).items()
         ]
         if not rows:
@@ -772,24 +818,19 @@ class _Work:
         needed = TABLE["roles"][role][0]
         known = {
             one.unit
-            for other, one in self.found.items()
-            if TABLE["roles"][other][0] == needed and not {"unit", "field"} & {*one.doubts}
+            for one in self.found.values()
+            if TABLE["roles"][one.role][0] == needed and not {"unit", "field"} & {*one.doubts}
         }
         return [row._replace(score=row.score + 1.5 * (row.unit in known)) for row in rows]
 
     def result(self, doubts: tuple[str, ...] = ()) -> Recognised:
         """The guesses, in the usual order of symbols."""
         order = (*MOTION, *COMMANDS)
-        found = tuple(self.found[role] for role in order if role in self.found)
+        found = tuple(sorted(self.found.values(), key=lambda one: order.index(one.role)))
         if doubts:  # a rate is known as well as the clock is
             rates = [one for one in found if one.role in RATES.values() and "rate" in one.why]
-            found = tuple(_asked(one, "unit") if one in rates else one for one in found)
+            found = tuple(one.asked("unit") if one in rates else one for one in found)
         return Recognised(found, self.time_unit, doubts)
-
-
-def _asked(one: Guess, doubt: str) -> Guess:
-    """A guess with one more thing to be asked."""
-    return replace(one, doubts=tuple(dict.fromkeys((*one.doubts, doubt))))
 
 
 def _is_up(name: str) -> bool:
@@ -853,7 +894,7 @@ def draft(
     sources = {one.role: source_of(one) for one in found.guesses}
     if channels is None:
         inputs, outputs = (
-            {role: sources[role] for role in roles if role in sources}
+            {one.name: source_of(one) for one in found.guesses if one.role in roles}
             for roles in (COMMANDS, MOTION)
         )
     else:
