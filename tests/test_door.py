@@ -11,13 +11,14 @@ from log_writers import mcap
 from marks import slow
 
 from benchmarks import door
-from oed_sysid import load_problem, new_problem
+from oed_sysid import Channels, Input, Output, load_problem, new_problem
 from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.data.formats import open_log
 from oed_sysid.data.log import assemble, meaning, side_of
 from oed_sysid.data.logs import draft, import_log
 from oed_sysid.data.mapping import parse
-from oed_sysid.data.recognise import recognise
+from oed_sysid.data.recognise import called, recognise
+from oed_sysid.errors import DataError, ProblemError, UnitWarning
 
 T = np.arange(0.0, 600.0, 0.5)
 
@@ -307,3 +308,22 @@ def test_two_propellers_are_two_inputs(header: str, unit: float, port: str) -> N
     np.testing.assert_allclose(record.input(port), unit * ahead, rtol=1e-12)
     stbd = port.replace("port", "stbd")
     np.testing.assert_allclose(record.input(stbd), 0.9 * unit * ahead, rtol=1e-12)
+
+
+def test_a_field_of_a_channels_name_is_asked_for_its_unit() -> None:
+    """It is that channel in its own unit, and asked; an input that is in no field is refused."""
+    s = circle()
+    port = 28.0 + 4.0 * np.sin(0.03 * T)
+    log = log_of(psi=s["psi"], r=s["r"], n_port=port, n_stbd=port)
+    names = ("n_port", "n_starboard")
+    outputs = (Output("psi", "rad"), Output("r", "rad/s"))
+    twins = Channels(tuple(Input(name, "rad/s") for name in names), outputs)
+    told = {one.name: one for one in called(recognise(log), twins, log).guesses}
+    assert told["n_port"].field == "a.n_port"
+    assert (told["n_port"].unit, told["n_port"].doubts) == ("rad/s", ("unit",))
+    mapping = draft(log, twins)
+    assert set(mapping.inputs) == {"n_port"}
+    with pytest.raises(DataError, match=r"no \[inputs.n_starboard\]"):
+        import_log(log, mapping, twins)
+    record = import_log(log, draft(log, sole := Channels(twins.inputs[:1], outputs)), sole)
+    np.testing.assert_allclose(record.dataset[0].input("n_port"), port, atol=0.02)

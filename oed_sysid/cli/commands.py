@@ -95,6 +95,10 @@ def new(
     """
     made = oed_sysid.new_problem(folder, template=template, log=log, inputs=tuple(inputs or ()))
     answer(f"Written: {made}")
+    # A mapping beside the records: fields were told by names and numbers, and some are asked.
+    if log is not None and (made / "data" / "mapping.toml").exists():
+        _told(log, oed_sysid.open_log(log), None, "", made)
+        say("Commands are named with --input; a reading is corrected in data/mapping.toml there.")
     folder_word = shlex.quote(str(made))
     say(f"Next: edit {Path(made) / 'problem.py'}, then run  oed-sysid problems {folder_word}")
     store({"folder": str(made)})
@@ -179,10 +183,10 @@ def import_(
     with progress(f"Reading {log.name}"):
         found = oed_sysid.open_log(log)
     named = problem or ("" if chosen is None else chosen.problem)
-    if draft is not None and not listing:
-        _draft(log, found, named, model, draft)
-        return
     target = oed_sysid.load_problem(_place(named, mapping), variant=model) if named else None
+    if draft is not None and not listing:
+        _draft(log, found, target, named, draft)
+        return
     if chosen is None and not listing and not find:
         chosen = _told(log, found, target, named, out)
     if listing or chosen is None:
@@ -196,9 +200,11 @@ def _told(
 ) -> LogMapping | None:
     """Say what the numbers of a log tell, before and after; None where they tell nothing."""
     from oed_sysid.data.logs import draft, recognise
+    from oed_sysid.data.recognise import called
 
     told = recognise(found)
     channels = None if problem is None else problem.channels
+    told = told if channels is None else called(told, channels, found)
     made = draft(found, channels, problem=named, found=told)
     if made is None and out is None:
         return None
@@ -208,12 +214,15 @@ def _told(
             "written. Name fields and units in a mapping (--draft FILE --problem NAME begins one) "
             "and give it with --map."
         )
-    doubts = sum(bool(one.doubts) for one in told.guesses) + bool(told.doubts)
+    lost = [] if channels is None else [n for n in channels.input_names if n not in made.inputs]
+    doubts = sum(bool(one.doubts) for one in told.guesses) + bool(told.doubts) + len(lost)
     questions = f"{counted(doubts, 'question')} below" if doubts else "nothing has to be asked"
     answer(f"{log.name}: {counted(len(told.guesses), 'field')} recognised, {questions}.")
     say(told.table(found))
     if told.doubts:
         say(f"Please confirm: the clock counts in {told.time_unit}.")
+    if lost:
+        say(f"Please add to the mapping, with field or constant: {', '.join(lost)}.")
     if out is None:
         axes = _axes(oed_sysid.import_log(found, made, channels).dataset, problem)
         say(f"Next: oed-sysid import {shlex.quote(str(log))} --out data   (and the mapping there)")
@@ -273,21 +282,13 @@ def _list(log: Path, found: Log, find: str) -> None:
     store({"log": str(log), "kind": found.kind, "fields": rows})
 
 
-def _draft(log: Path, found: Log, named: str, model: str | None, place: Path) -> None:
-    """Write a first mapping from names and units."""
-    from oed_sysid.data.logs import draft
-
-    if not named:
+def _draft(log: Path, found: Log, problem: Problem | None, named: str, place: Path) -> None:
+    """Write a first mapping from names, numbers and units."""
+    if problem is None:
         raise DataError("--draft needs --problem: whose channels are wanted?")
-    wanted = oed_sysid.load_problem(named, variant=model).channels
-    made = draft(found, wanted, problem=named)
-    if made is None:
-        raise DataError(
-            f"No field of {log.name} has the name of an output: "
-            f"{', '.join(wanted.output_names)}. Write the mapping by hand; see --list."
-        )
-    made.write(place)
-    note(f"Written: {place}. Read it: names are guesses, missing inputs are zero.")
+    if (made := _told(log, found, problem, named, place)) is not None:
+        made.write(place)
+        note(f"Written: {place}. Read it: what is asked is a guess.")
 
 
 def _place(named: str, mapping: Path | None) -> str:

@@ -850,9 +850,63 @@ def role_of(channel: Input | Output) -> str:
     ('r', 'rudder')
     """
     name = channel.name if channel.name in TABLE["roles"] else ""
-    found = name or meaning(channel.name)[0] or meaning(channel.label or "")[0]
+    texts = filter(None, (channel.name, channel.label))
+    found = name or next(filter(None, (meaning(text, channel.unit)[0] for text in texts)), "")
     fits = found in TABLE["roles"] and converts(TABLE["roles"][found][0], channel.unit)
     return found if fits else ""
+
+
+def called(found: Recognised, channels: Channels, log: Log) -> Recognised:
+    """Say what fields are in the words of a problem's channels.
+
+    A channel is the field of its name, or the one of its role where no other channel has that
+    role. A field of its name without a unit is asked for it, and never passed over.
+
+    Parameters
+    ----------
+    found : Recognised
+        What :func:`recognise` said of the log.
+    channels : Channels
+        Those of the problem.
+    log : Log
+        The log.
+    """
+    roles = Counter(map(role_of, channels.all))
+    each = [_meant(one, found, log, roles[role_of(one)] == 1) for one in channels.all]
+    wanted = [one for one in each if one is not None]
+    used = {one.field for one in wanted}
+    return replace(found, guesses=(*wanted, *(o for o in found.guesses if o.field not in used)))
+
+
+def _meant(channel: Input | Output, found: Recognised, log: Log, sole: bool) -> Guess | None:
+    """The field that is meant by a channel, if there is one."""
+    role = role_of(channel) if sole else ""
+    by_role = [one for one in found.guesses if role and one.role == role]
+    named = [_named(one, channel, found) for one in log.series if _is_called(one, channel)]
+    told = [one for one in named if log[one.field].unit and converts(one.unit, channel.unit)]
+    best = next(iter((*told, *by_role, *named)), None)
+    return best and replace(best, channel=channel.name)
+
+
+def _is_called(one: Series, channel: Input | Output) -> bool:
+    """Whether a field has the name of a channel, and may be a measurement of it if that is one."""
+    if parse_header(one.name.rpartition(".")[2])[0] not in (channel.name, channel.column):
+        return False
+    if isinstance(channel, Input):  # asked for a factor where it is in another unit
+        return True
+    fits = not one.unit or converts(one.unit, channel.unit)
+    return fits and hint_of(one)[0] not in TABLE["unmeasured"]
+
+
+def _named(one: Series, channel: Input | Output, found: Recognised) -> Guess:
+    """A field that has the name of a channel; its unit is asked where nobody says it."""
+    known = [g for g in found.guesses if g.field == one.name and converts(g.unit, channel.unit)]
+    if known:
+        return replace(known[0], doubts=tuple(d for d in known[0].doubts if d != "field"))
+    wraps = channel.unit == "rad" and channel.name in ("psi", "phi")
+    why, asked = "it has the name of the channel", ("unit",) * (not one.unit)
+    unit = one.unit or channel.unit
+    return Guess(role_of(channel), one.name, unit, wrap=wraps, doubts=asked, why=why)
 
 
 def draft(
@@ -878,7 +932,7 @@ def draft(
     Returns
     -------
     LogMapping or None
-        None where no output is found; inputs that are not found are constant zeros.
+        None where no output is found. Inputs that are not found are left out, to be named.
 
     Examples
     --------
@@ -891,42 +945,22 @@ def draft(
     'deg'
     """
     found = found or recognise(log)
-    sources = {one.role: source_of(one) for one in found.guesses}
     if channels is None:
         inputs, outputs = (
             {one.name: source_of(one) for one in found.guesses if one.role in roles}
             for roles in (COMMANDS, MOTION)
         )
     else:
-        inputs, outputs = _of_channels(channels, log, sources)
+        sources = {o.channel: source_of(o) for o in called(found, channels, log).guesses}
+        inputs, outputs = (
+            {name: sources[name] for name in names if name in sources}
+            for names in (channels.input_names, channels.output_names)
+        )
     told = log.clock_unit or "s"
     time_unit = "" if found.time_unit == told else found.time_unit
     return LogMapping(inputs, outputs, problem=problem, time_unit=time_unit) if outputs else None
 
 
-def _of_channels(
-    channels: Channels, log: Log, sources: Mapping[str, Source]
-) -> tuple[dict[str, Source], dict[str, Source]]:
-    """Sources of a problem's inputs, constant where there is none, and of its outputs."""
-    taken = {c.name: _wanted(c, log, sources) for c in channels.all}
-    outputs = {c.name: s for c in channels.outputs if (s := taken[c.name]) is not None}
-    inputs = {
-        c.name: taken[c.name] or Source(constant=0.0, unit=c.unit or "1") for c in channels.inputs
-    }
-    return inputs, outputs
-
-
 def source_of(one: Guess) -> Source:
     """Where a channel of a guess's role comes from."""
     return Source(one.field, unit=one.unit, sign=one.sign, wrap=one.wrap, trim=one.trim)
-
-
-def _wanted(channel: Input | Output, log: Log, sources: Mapping[str, Source]) -> Source | None:
-    """Where a channel comes from: a field of its name, or the one of its role."""
-    for one in log.series:
-        last = parse_header(one.name.rpartition(".")[2])[0]
-        if last in (channel.name, channel.column) and one.unit and converts(one.unit, channel.unit):
-            same = [s for s in sources.values() if s.field == one.name]
-            wraps = channel.unit == "rad" and channel.name in ("psi", "phi")
-            return same[0] if same else Source(one.name, unit=one.unit, wrap=wraps)
-    return sources.get(role_of(channel))

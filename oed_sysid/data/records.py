@@ -136,7 +136,8 @@ class _Import:
         for name in (name for name in channels.input_names if name not in mapping.inputs):
             raise DataError(
                 f"{mapping.where} has no [inputs.{name}]. Inputs have to be known at every time: "
-                "name its field, or give constant = number if it did not change."
+                "name its field, or give constant = number if it did not change, in a mapping "
+                "(oed-sysid import --draft FILE begins one)."
             )
 
     def _signal(self, source: Source, channel: Input | Output) -> Series:
