@@ -327,3 +327,40 @@ def test_a_field_of_a_channels_name_is_asked_for_its_unit() -> None:
         import_log(log, mapping, twins)
     record = import_log(log, draft(log, sole := Channels(twins.inputs[:1], outputs)), sole)
     np.testing.assert_allclose(record.dataset[0].input("n_port"), port, atol=0.02)
+
+
+def test_a_log_across_midnight(tmp_path: Path) -> None:
+    """Times of day go on counting and the yaw rate keeps its sign; AM and PM are refused so."""
+    s = circle()
+    seconds = (86400.0 - 300.0 + T) % 86400.0
+    hours, rest = np.divmod(seconds, 3600.0)
+    minutes, rest = np.divmod(rest, 60.0)
+    times = list(zip(hours.astype(int), minutes.astype(int), rest, strict=True))
+    forms = (
+        [f"{h:02d}:{m:02d}:{x:04.1f}" for h, m, x in times],
+        [f"{(h - 1) % 12 + 1}:{m:02d}:{x:04.1f} {'AP'[h // 12]}M" for h, m, x in times],
+    )
+    file = tmp_path / "night.csv"
+    for stamps in forms:
+        cells = zip(stamps, s["psi"], s["r"], strict=True)
+        rows = [f"{a},{b:.6f},{c:.8f}" for a, b, c in cells]
+        file.write_text("\n".join(["Time,Heading,ROT", *rows]))
+        if stamps is forms[1]:
+            with pytest.raises(DataError, match="is a time of twelve hours"):
+                open_log(file)
+            break
+        log = open_log(file)
+        assert recognise(log)["r"].sign == 1
+        record = import_log(log, draft(log)).dataset[0]
+        np.testing.assert_allclose(record.times - record.times[0], T, atol=1e-6)
+
+
+def test_a_clock_that_goes_back_tells_nothing_wrong() -> None:
+    """Fields are told by the longest part of a log, and what to do with the rest is said."""
+    s = circle()
+    back = np.where(T < 400.0, T, T - 400.0)
+    log = assemble(Path("a.csv"), "test", {"a": (back, {"Kurs": s["psi"], "Gierrate": s["r"]})})
+    found = recognise(log)
+    assert (found["r"].sign, found["r"].unit) == (1, "rad/s")
+    with pytest.raises(DataError, match="sort those of"):
+        import_log(log, draft(log))

@@ -455,6 +455,15 @@ def unit_of_counts(counts: np.ndarray) -> str | None:
     return "clock" if clock_of_digits(good) else None
 
 
+def counted_on(moments: np.ndarray) -> np.ndarray:
+    """Times of day ``(n,)``, s, across midnight: those that go back by half a day are the next's.
+
+    >>> counted_on(np.array([86398.0, 86399.0, 0.0]))[-1]
+    np.float64(86400.0)
+    """
+    return np.asarray(moments + DAY * np.cumsum(np.diff(moments, prepend=moments[0]) < -0.5 * DAY))
+
+
 def clock_of_digits(times: np.ndarray) -> bool:
     """Whether numbers are a date or a clock in digits: 115959 is followed by 120000.
 

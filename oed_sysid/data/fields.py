@@ -11,8 +11,9 @@ what they are worth as a prior.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -220,8 +221,15 @@ def _usable(log: Log) -> list[Series]:
         other = log.clock and one.name.endswith(f".{log.clock}")
         other = other or hint_of(one)[0] in TABLE["unmeasured"]
         if good.sum() > 4 and np.ptp(one.values[good]) > 0.0 and not other:
-            found.append(one)
+            found.append(_onward(one))
     return found
+
+
+def _onward(series: Series) -> Series:
+    """The longest part of a series in which its clock does not go back."""
+    cuts = [0, *(np.flatnonzero(np.diff(series.times) < 0.0) + 1), series.times.size]
+    first, last = max(pairwise(cuts), key=lambda part: part[1] - part[0])
+    return replace(series, times=series.times[first:last], values=series.values[first:last])
 
 
 def _grid(log: Log, every: Sequence[Series]) -> np.ndarray:

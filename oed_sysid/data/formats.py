@@ -22,14 +22,14 @@ import numpy as np
 
 from oed_sysid.data import apart
 from oed_sysid.data.apart import guarded, read_apart
-from oed_sysid.data.csv_columns import EPOCH, unit_of_counts
+from oed_sysid.data.csv_columns import EPOCH, counted_on, unit_of_counts
 from oed_sysid.data.frames import columns_of, is_time, plain
 from oed_sysid.data.log import TABLE, Log, Rows, assemble, meaning, topics_of, until_torn
 from oed_sysid.data.nmea import read_nmea
 from oed_sysid.data.ros import read_bag, read_mcap
 from oed_sysid.errors import DataError, library
 from oed_sysid.runtime.files import read_bytes
-from oed_sysid.text.csv_table import read_table
+from oed_sysid.text.csv_table import read_table, time_stamp
 from oed_sysid.text.units import is_unit, parse_header, to_si
 
 # -- tables with a header --------------------------------------------------------------
@@ -38,13 +38,18 @@ from oed_sysid.text.units import is_unit, parse_header, to_si
 def read_csv_log(path: Path) -> Log:
     """Read a CSV file as a log of one topic, named after the file."""
     table = read_table(path, columns_of_text=True)
-    columns = {
-        header: table.values[:, i]
-        for i, header in enumerate(table.headers)
-        if i not in table.faults
-    }
+    columns = dict(zip(table.headers, table.values.T, strict=True))
+    for i, first in table.stamps.items():
+        stamp = time_stamp(first)
+        if stamp is not None and stamp[1] == "clock":
+            columns[table.headers[i]] = counted_on(table.values[:, i])
+    faults = {table.headers[i]: fault for i, fault in table.faults.items()}
+    for header in faults:
+        del columns[header]
     stamps = [table.headers[i] for i in table.stamps]
-    clock = next(filter(is_time, columns), next(iter(stamps), None))
+    clock = next(filter(is_time, columns), next(iter(stamps), None)) or clock_of(columns)
+    if clock is None and (called := next(filter(is_time, faults), None)) is not None:
+        raise DataError(faults[called])
     return _log(path, "CSV file", {path.stem: columns}, clock, stamps)
 
 
@@ -181,7 +186,7 @@ def timed_by(
     if unit == "clock":
         hours, rest = np.divmod(np.mod(counts, 1e6), 1e4)
         minutes, seconds = np.divmod(rest, 100.0)
-        times, unit = 3600.0 * hours + 60.0 * minutes + seconds, "s"
+        times, unit = counted_on(3600.0 * hours + 60.0 * minutes + seconds), "s"
     else:
         times = to_si(counts, unit or "s")[0]
     return _Timed(times, fields, header, unit) if np.isfinite(times).sum() > 1 and fields else None

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.data.csv_columns import DAY
+from oed_sysid.data.csv_columns import counted_on
 from oed_sysid.data.log import Log, Rows, assemble, topics_of
 from oed_sysid.errors import DataError, library
 from oed_sysid.text.csv_table import text_lines
@@ -142,8 +142,7 @@ def _times(
             "says when. Log with a time in front of each line."
         )
     moments = np.array([of_day[index] for index in known], dtype=float)
-    # Times of day that go back by more than half a day are those of the next.
-    moments[1:] += DAY * np.cumsum(np.diff(moments) < -0.5 * DAY)
+    moments = counted_on(moments)
     # Sentences of one moment come after each other: the first of them has the time.
     first = np.concatenate([[True], np.diff(moments) > 0.0])
     places, values = np.array(known)[first].astype(float), moments[first]

@@ -293,8 +293,9 @@ class _Manoeuvre:
             back = int(np.argmax(steps < 0.0))
             raise DataError(
                 f"The clock of {signal.name!r} goes back at {times[back - 1]:.3f} s, by "
-                f"{-steps[back]:.3g} s: it was set, or the vehicle restarted. "
-                f"Cut the log of {self.work.log.path.name} there with [[cuts]]."
+                f"{-steps[back]:.3g} s. Rows out of order: sort those of "
+                f"{self.work.log.path.name} by time. The clock was set, or the vehicle restarted: "
+                "cut the log there with [[cuts]]."
             )
         again = int(np.sum(steps == 0.0))
         if again:
