@@ -364,3 +364,23 @@ def test_a_clock_that_goes_back_tells_nothing_wrong() -> None:
     assert (found["r"].sign, found["r"].unit) == (1, "rad/s")
     with pytest.raises(DataError, match="sort those of"):
         import_log(log, draft(log))
+
+
+def test_first_model_of_positions_without_speeds(tmp_path: Path) -> None:
+    """Positions follow from the heading and velocities that are not measured, told by numbers."""
+    pull = np.sign(np.sin(0.05 * T))
+    u = np.zeros(T.size)
+    for k in range(T.size - 1):  # surge with a time constant of 10 s, by Euler's method
+        u[k + 1] = u[k] + 0.5 * (0.3 * pull[k] - 0.1 * (u[k] - 2.0))
+    psi = 1.0 + 2.5 * np.sin(0.02 * T)
+    way = np.cumsum(u * np.exp(1j * psi)) * 0.5
+    table = np.column_stack([T, pull, psi, 0.05 * np.cos(0.02 * T), way.real, way.imag])
+    log = tmp_path / "boat.csv"
+    header = "t [s],thrust [N],psi [rad],r [rad/s],x [m],y [m]"
+    np.savetxt(log, table, delimiter=",", header=header, comments="")
+    model = load_problem(new_problem(tmp_path / "boat", log=log)).model
+    assert model.kinematics["x"] == "u*cos(psi) - v*sin(psi)"
+    assert set(model.state_names) - set(model.output_names) == {"u", "v"}
+    values = {p.name: p.value for p in model.parameters}
+    assert values["u_thrust"] == pytest.approx(0.3, rel=0.15)
+    assert values["u_u"] == pytest.approx(-0.1, rel=0.15)

@@ -4,8 +4,8 @@ Each template is a ``problem.py`` as text; example data is simulated from the tr
 states. From a log, the template is filled with channels and units from its header and a linear
 model from its numbers: every measured signal answers linearly to the signals that are rates or
 angles of the vehicle, and to the commands; angles, positions and depth follow from the kinematics
-of a rigid body as far as their speeds and rates are there, and an angle without its rate brings
-that as a state which is not measured. A log with other names, or of another format, is read by
+of a rigid body, and an angle without its rate, or positions without their speeds, bring these as
+states which are not measured. A log with other names, or of another format, is read by
 its numbers first (:mod:`~oed_sysid.data.recognise`). Start values come from least squares on
 differences, and are no more than that.
 """
@@ -310,14 +310,24 @@ class _Log:
 
     @cached_property
     def hidden(self) -> list[_Signal]:
-        """Rates of angles that are measured without them, as the angles change."""
+        """Rates and velocities that are not measured, as angles and positions change."""
         names = [s.name for s in self.measured]
-        found = []
+        found = self.velocities()
         for angle in (s for s in self.measured if s.name in _INTEGRALS and s.unit == "rad"):
             if (rate := _INTEGRALS[angle.name]) not in names:
                 values = np.gradient(_without_gaps(self.times, angle.values), self.times)
                 found.append(_Signal(rate, rate, "rad/s", values))
         return found
+
+    def velocities(self) -> list[_Signal]:
+        """Ahead and abeam, where the positions and the heading are measured without them."""
+        signals = {s.name: _without_gaps(self.times, s.values) for s in self.measured}
+        if not signals.keys() >= {"x", "y", "psi"}:
+            return []
+        north, east = (np.gradient(signals[name], self.times) for name in "xy")
+        cos, sin = np.cos(signals["psi"]), np.sin(signals["psi"])
+        ways = {"u": north * cos + east * sin, "v": east * cos - north * sin}
+        return [_Signal(n, n, "m/s", way) for n, way in ways.items() if n not in signals]
 
     @cached_property
     def states(self) -> list[_Signal]:
