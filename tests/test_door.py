@@ -384,3 +384,23 @@ def test_first_model_of_positions_without_speeds(tmp_path: Path) -> None:
     values = {p.name: p.value for p in model.parameters}
     assert values["u_thrust"] == pytest.approx(0.3, rel=0.15)
     assert values["u_u"] == pytest.approx(-0.1, rel=0.15)
+
+
+def test_a_starter_takes_commands_by_name_and_unit(tmp_path: Path, capsys) -> None:
+    """Of a log of any format; what was told and what is asked is printed."""
+    s, force = circle(), 5.0 * np.sign(np.sin(0.04 * T))
+    rows = [f"{a:.1f},{b:.6f},{c:.8f},{d:.1f}"
+            for a, b, c, d in zip(T, s["psi"], s["r"], force, strict=True)]  # fmt: skip
+    log = tmp_path / "rov.csv"
+    log.write_text("\n".join(["time,heading,yaw_rate,jet", *rows]))
+    with pytest.raises(ProblemError, match="Name commands with inputs"):
+        new_problem(tmp_path / "a", log=log)
+    with pytest.raises(ProblemError, match=r"Say it with the name, as 'jet \[N\]'"):
+        new_problem(tmp_path / "b", log=log, inputs=("jet",))
+    assert main(["new", str(tmp_path / "c"), "--from", str(log), "--input", "jet [kN]"]) == DONE
+    assert "2 fields recognised" in capsys.readouterr().out
+    (record,) = load_problem(tmp_path / "c").data()
+    np.testing.assert_allclose(record.input("jet"), 1e3 * force)
+    log.write_text("\n".join(["t [s],psi [rad],rudder [rad],jet", *rows]))
+    with pytest.warns(UnitWarning, match="left out for want of a unit: jet"):
+        new_problem(tmp_path / "d", log=log)

@@ -211,8 +211,8 @@ def _told(
     if made is None:
         raise DataError(
             f"No field of {log.name} is known by its name or its numbers, so that nothing is "
-            "written. Name fields and units in a mapping (--draft FILE --problem NAME begins one) "
-            "and give it with --map."
+            "written. --list shows all fields: name those that are meant, and their units, in a "
+            "mapping, and give it with --map."
         )
     lost = [] if channels is None else [n for n in channels.input_names if n not in made.inputs]
     doubts = sum(bool(one.doubts) for one in told.guesses) + bool(told.doubts) + len(lost)

@@ -18,9 +18,10 @@ import shlex
 import shutil
 import tempfile
 import tomllib
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
@@ -32,8 +33,15 @@ import numpy as np
 from oed_sysid.data.dataset import write_csv
 from oed_sysid.data.formats import clock_of
 from oed_sysid.data.frames import is_time
-from oed_sysid.data.logs import draft, import_log, open_log
-from oed_sysid.errors import DataError, FileError, ProblemError, located
+from oed_sysid.data.logs import Log, LogMapping, Series, Source, draft, import_log, open_log
+from oed_sysid.errors import (
+    DataError,
+    FileError,
+    ProblemError,
+    UnitWarning,
+    listed,
+    located,
+)
 from oed_sysid.experiments.catalogue import FILE, load_problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.runtime.files import make_folder, write_text
@@ -83,7 +91,8 @@ def new_problem(
         A log of any format: channels, units and a first linear model are taken from it, and
         its records are put into the folder; no template is used.
     inputs : sequence of str
-        With a log, columns that are commands; by default those whose names say so.
+        With a log, fields that are commands, ``"thruster [N]"`` where the log states no unit; by
+        default those whose names say so.
 
     Returns
     -------
@@ -200,13 +209,16 @@ def write_from_log(place: Path, log: Path, inputs: tuple[str, ...], words: dict[
     log : Path
         Any log.
     inputs : tuple of str
-        Columns of a CSV file that are commands; empty lets names and numbers decide.
+        Fields that are commands, with a unit where the log states none; empty lets names decide.
     words : dict of str to str
         ``name``, ``title`` and ``folder`` of the problem.
     """
-    told = None if inputs else _told(log, place)
+    told = _told(log, place, inputs)
     given, log, inputs = log, *(told or (log, inputs))
-    times, signals = _signals(log)
+    times, signals, without = _signals(log)
+    if without:
+        lost = f"{log.name}: left out for want of a unit: {', '.join(without)}."
+        warnings.warn(lost, UnitWarning, stacklevel=3)
     commands = _commands(log, signals, inputs)
     if not (measured := [s for s in signals if s not in commands]):
         raise ProblemError(f"All columns of {log.name} are commands; at least one is an output.")
@@ -225,18 +237,27 @@ def write_from_log(place: Path, log: Path, inputs: tuple[str, ...], words: dict[
     write_text(place / "README.md", _filled_template("from_log_readme", words | listed))
 
 
-def _told(log: Path, place: Path) -> tuple[Path, tuple[str, ...]] | None:
+def _told(log: Path, place: Path, inputs: tuple[str, ...]) -> tuple[Path, tuple[str, ...]] | None:
     """Records of a log by what its numbers tell, with the mapping beside them, and the commands.
 
-    None where it has names and units that are used as they are, or where nothing is told.
+    None where it is a table with names and units that are used as they are.
     """
+    names = set[str]()
     with suppress(DataError):
-        _, signals = _signals(log)
-        if any(one.name in _EQUATIONS or one.name in _INTEGRALS.values() for one in signals):
-            return None
-    opened = open_log(log)
-    if (mapping := draft(opened)) is None or not mapping.inputs:
+        names = {name for one in _signals(log)[1] for name in (one.name, one.column)}
+    usual = {*_EQUATIONS, *_INTEGRALS.values()}
+    if names >= {*inputs} if names and inputs else names & usual:
         return None
+    opened = open_log(log)
+    mapping = _commanded(draft(opened), opened, inputs)
+    if mapping is None and names:
+        return None
+    if mapping is None:
+        raise ProblemError(
+            f"No field of {log.name} is told as a command by its name, or none as a measured "
+            f"motion: {listed(opened.names)}. Name commands with inputs=(...), or --input on the "
+            f"command line; or make records first: oed-sysid import {log.name} --map FILE."
+        )
     data = place / "data"
     make_folder(data)
     (record,) = import_log(opened, mapping).dataset
@@ -246,7 +267,40 @@ def _told(log: Path, place: Path) -> tuple[Path, tuple[str, ...]] | None:
     return target, tuple(mapping.inputs)
 
 
-def _signals(log: Path) -> tuple[np.ndarray, list[_Signal]]:
+def _commanded(mapping: LogMapping | None, log: Log, inputs: tuple[str, ...]) -> LogMapping | None:
+    """The mapping with the fields that are commands, by name; None without inputs or outputs."""
+    if mapping is None or not inputs:
+        return mapping if mapping is not None and mapping.inputs else None
+    fields = {key: one for one in log.series for key in _names_of(one.name)}
+    chosen = dict(_command(text, log.path.name, fields, mapping) for text in inputs)
+    used = {one.field for one in chosen.values()}
+    outputs = {name: one for name, one in mapping.outputs.items() if one.field not in used}
+    return replace(mapping, inputs=chosen, outputs=outputs)
+
+
+def _command(
+    text: str, log: str, fields: Mapping[str, Series], mapping: LogMapping
+) -> tuple[str, Source]:
+    """Name and source of a command that was named, with its unit where the log states none."""
+    name, said = (text, None) if text in fields else parse_header(text)
+    located(ProblemError, f"{log} has no field called", [name], fields)
+    field = fields[name]
+    told = next((one for one in mapping.inputs.items() if one[1].field == field.name), None)
+    if told is not None:
+        return told[0], replace(told[1], unit=said or told[1].unit)
+    if unit := said or field.unit:
+        return _column_name(parse_header(name)[0], []), Source(field.name, unit=unit)
+    raise ProblemError(f"{text!r} has no unit in {log}. Say it with the name, as '{text} [N]'.")
+
+
+def _names_of(field: str) -> set[str]:
+    """What a field may be called: with its topic, without it, and without its unit."""
+    header = field.partition(".")[2]
+    return {field, header, parse_header(header)[0]}
+
+
+def _signals(log: Path) -> tuple[np.ndarray, list[_Signal], list[str]]:
+    """Times ``(n_times,)`` in s of a table, its columns with a unit, and headers without one."""
     table = read_table(log)
     columns = dict(zip(table.headers, table.values.T, strict=True))
     clock = next(filter(is_time, columns), None) or clock_of(columns)
@@ -266,7 +320,7 @@ def _signals(log: Path) -> tuple[np.ndarray, list[_Signal]]:
         raise DataError(
             f"{log.name} has no units: {', '.join(without)}. Write them as '{without[0]} [deg]'."
         )
-    return times, found
+    return times, found, without
 
 
 def _column_name(name: str, before: list[_Signal]) -> str:
