@@ -362,3 +362,19 @@ def test_fast_reader_gives_the_digits_of_the_other(tmp_path, monkeypatch, marks:
     assert np.array_equal(quick.values, csv_table.read_table(file).values, equal_nan=True)
     kept = np.array([float(text or "nan") for text in texts.ravel()]).reshape(texts.shape)
     assert np.array_equal(quick.values[:, 1:], kept, equal_nan=True)
+
+
+def test_a_shaft_turns_as_fast_as_it_likes(tmp_path: Path) -> None:
+    """The speed of a shaft is no rate of a vehicle, be it measured; a yaw rate so high is noted."""
+    channels = Channels((), (Output("n", "rad/s"), Output("r", "rad/s")))
+    noted = []
+    for speeds in ("81.5,0.1", "0.1,81.5"):
+        lines = ["t [s],n [rad/s],r [rad/s]", *(f"{k},{speeds}" for k in range(12))]
+        path = tmp_path / "bench.csv"
+        path.write_text("\n".join(lines))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            read_csv(path, channels)
+        noted.append([str(one.message) for one in caught if "no vehicle" in str(one.message)])
+    assert noted[0] == []
+    assert "r [rad/s]" in noted[1][0]

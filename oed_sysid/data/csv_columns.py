@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from oed_sysid.data.log import symbol_of
 from oed_sysid.data.record import TIME_ADVICE, check_wraps, time_fault
 from oed_sysid.errors import DataError, UnitWarning, closest, listed, located
 from oed_sysid.physics.channels import Channels, Input, Output
@@ -359,8 +360,9 @@ class Columns:
         if si_unit == unit == "rad":
             words += "more than three turns. If it is in degrees, write the header as "
             words += f"'{self._named(index, channel)[0]} [deg]'."
-        # A compass may count many turns in degrees, and a propeller turns as fast as it likes.
-        elif si_unit == "rad" or (si_unit == "rad/s" and isinstance(channel, Input)):
+        # A compass may count many turns in degrees, and what is no rate of the vehicle, such as a
+        # shaft, turns as fast as it likes.
+        elif si_unit == "rad" or (si_unit == "rad/s" and symbol_of(channel.name) not in {*"pqr"}):
             return
         else:
             words += f"which no vehicle does. Check that [{unit}] is its unit."
