@@ -378,3 +378,10 @@ def test_a_shaft_turns_as_fast_as_it_likes(tmp_path: Path) -> None:
         noted.append([str(one.message) for one in caught if "no vehicle" in str(one.message)])
     assert noted[0] == []
     assert "r [rad/s]" in noted[1][0]
+
+
+def test_units_in_a_line_of_their_own_keep_the_delimiter(tmp_path: Path) -> None:
+    """The header that is proposed can be pasted: it keeps the delimiter, without empty units."""
+    with pytest.raises(DataError) as caught:
+        read(tmp_path, "Datum;Kurs;Fahrt", ";°;kn", "1;2;3")
+    assert "'Datum;Kurs [°];Fahrt [kn]'" in str(caught.value)

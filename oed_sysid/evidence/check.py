@@ -362,7 +362,7 @@ def signal_check(dataset: Dataset) -> LogCheck:
     >>> channels, t = Channels((), (Output("r", "rad/s"),)), np.arange(300) * 0.1
     >>> record = Record("run", t, [], 0.02 * np.ones((300, 1)), channels)
     >>> print(signal_check(Dataset((record,))).verdict)
-    Nothing wrong was seen in single signals; no equation relates them.
+    Nothing wrong was seen in single signals; no equation of a problem relates them.
     """
     began = perf_counter()
     faults, traces = screened([Trace.of(record, {}) for record in dataset])

@@ -290,7 +290,9 @@ class LogCheck:
             names = "; ".join(finding.name for finding in self.serious)
             return f"Log suspect: {counted(len(self.serious), 'finding')} ({names})."
         if not self.relations:
-            return "Nothing wrong was seen in single signals; no equation relates them."
+            return (
+                "Nothing wrong was seen in single signals; no equation of a problem relates them."
+            )
         open_ones = self.not_tested
         if open_ones:
             names = "; ".join(f"{kind} of {', '.join(of)}" for kind, of in open_ones.items())

@@ -364,7 +364,7 @@ def _layout(path: Path, text: str) -> tuple[list[str], str, bool, list[tuple[int
     first = rows[0][1][: -len(delimiter)] if closed else rows[0][1]
     _check_layout(path, header_line, delimiter, first)
     _check_headers(path, headers)
-    _check_second_line(path, headers, _cells(first, delimiter))
+    _check_second_line(path, headers, _cells(first, delimiter), delimiter)
     return headers, delimiter, closed, rows
 
 
@@ -509,7 +509,7 @@ def _check_no_numbers(path: Path, headers: list[str]) -> None:
         )
 
 
-def _check_second_line(path: Path, headers: list[str], cells: list[str]) -> None:
+def _check_second_line(path: Path, headers: list[str], cells: list[str], delimiter: str) -> None:
     """Say it where the units stand in a line of their own."""
     words = [cell.strip().strip("[]()") for cell in cells]
     units = sum(map(_unit, words))
@@ -517,7 +517,7 @@ def _check_second_line(path: Path, headers: list[str], cells: list[str]) -> None
     stated = any(parse_header(header)[1] for header in headers)
     if units and units + plain == len(words) == len(headers) and not stated:
         pairs = zip(headers, words, strict=True)
-        shown = ",".join(f"{header} [{word or '-'}]" for header, word in pairs)
+        shown = delimiter.join(f"{one} [{word}]" if word else one for one, word in pairs)
         raise DataError(
             f"The second line of {path.name} holds units. Put them into the header: '{shown}'."
         )
