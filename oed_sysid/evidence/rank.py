@@ -18,7 +18,7 @@ import numpy as np
 from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.claim import Claim, at_bounds
 from oed_sysid.evidence.score import SIZES, Score, scores, two_sided
-from oed_sysid.evidence.study import Study, likelier
+from oed_sysid.evidence.study import Study, likelier, usual
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.fit import ALIKE, MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
@@ -398,7 +398,7 @@ def _begins(
     for size in (0.0, *steps) if plain else (*steps, 0.0):
         yield _start(fit, scored, size), False
     if not plain and 2.0 * max(score.statistic for score in scored) > needed:
-        yield _usual(fit, [score.effect for score in scored]), True
+        yield dict(fit.values) | usual([score.effect for score in scored]), True
 
 
 def _start(fit: FilteredSolution, scored: Sequence[Score], size: float) -> dict[str, float]:
@@ -415,16 +415,6 @@ def _start(fit: FilteredSolution, scored: Sequence[Score], size: float) -> dict[
             scaled = size * value if name in score.effect.amplitude_names else value
             start[name] = float(np.clip(scaled, *limits[name]))
     return start
-
-
-def _usual(fit: FilteredSolution, effects: Sequence[Effect]) -> dict[str, float]:
-    """Values to begin a refit from, effects as large as they usually are."""
-    sizes = {
-        p.name: min(p.magnitude, p.upper) if p.name in effect.amplitude_names else p.value
-        for effect in effects
-        for p in effect.parameters
-    }
-    return dict(fit.values) | sizes
 
 
 def deepen(study: Study, fit: FilteredSolution, quick: Refit) -> Refit:

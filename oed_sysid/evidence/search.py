@@ -426,27 +426,14 @@ def with_refit(
 
 
 def not_astray(study: Study, fit: FilteredSolution) -> FilteredSolution:
-    """The fit, or a likelier one from the nominal values, or from a fit without disturbance forces.
+    """The fit, or a likelier one by more than arithmetic that begins anew, as the nominal one did.
 
-    Where a large effect was missing, forces have grown to explain it and parameters have followed
-    them. Once it is there, that may be a valley of its own.
+    Where a large effect was missing, parameters and forces have followed it. Once it is there, that
+    may be a valley of its own.
     """
-    if not (fit.noise.force > 0).any():
-        return fit
-    effects, quiet = study.effects_of(fit), study.quiet(fit.noise)
-    again = partial(study.estimate, effects, noise=quiet)
-    own = {p.name for effect in effects for p in effect.parameters}
-    values = study.base.values | {k: v for k, v in fit.values.items() if k in own}
-    best = _clearly(fit, again(values, fit))
-    if overgrown(study, best) and (start := study.without_forces(effects, best.values)) is not None:
-        best = _clearly(best, again(start.values, start))
-    return fit if best is fit else study.settle(best)
-
-
-def _clearly(fit: FilteredSolution, other: FilteredSolution | None) -> FilteredSolution:
-    """The other fit where it is likelier by more than arithmetic, else the first."""
-    better = other is not None and other.objective < fit.objective - 2.0 * NEAR
-    return other if other is not None and better else fit
+    anew = study.anew(fit)
+    likelier = anew is not None and anew.objective < fit.objective - 2.0 * NEAR
+    return study.settle(anew) if anew is not None and likelier else fit
 
 
 def overgrown(study: Study, fit: FilteredSolution) -> bool:

@@ -177,12 +177,7 @@ class Study:
         # Two in three passes are of the nominal model, at a third to two thirds of the price.
         narrow, kernel = (_kernel(model, one, setting) for one in ((), effects))
         setting = replace(setting, kernel=narrow)
-        plain, end = _white_fit(model, train)
-        shooting = Shooting(model, train, white)
-        starts = [Start.at(shooting, shooting.start_unknowns()), *([] if end is None else [end])]
-        test = _best_test(setting, starts)
-        level = np.where(np.isin(test.noise.places, absent), 0.0, test.noise.force)
-        test = replace(test, noise=replace(test.noise, force=level))
+        starts, test, plain = _from_white_noise(setting)
         study = cls(
             base=model,
             candidates=effects,
@@ -324,11 +319,26 @@ class Study:
         problem = self.problem(effects, values, levels, self.train, step=step)
         return _solved(problem, start, max_iterations)
 
-    def without_forces(
-        self, effects: Sequence[Effect], values: Mapping[str, float]
-    ) -> Start | None:
-        """Where a fit of the nominal model with some effects to white noise ends."""
-        return _white_fit(self.model(effects, values), self.train)[1]
+    def anew(self, found: FilteredSolution) -> FilteredSolution | None:
+        """The same effects estimated as the nominal model was, from its values and white noise.
+
+        None where the model diverges.
+        """
+        effects, step = self.effects_of(found), found.problem.model.step
+        own = {p.name for effect in effects for p in effect.parameters}
+        values = {k: v for k, v in found.values.items() if k in own}
+        # A size that was found beside other values may lead back there.
+        first, *more = (
+            self.model(effects, self.base.values | sizes, step)
+            for sizes in ((values, usual(effects)) if effects else (values,))
+        )
+        kernel = self.kernel_by(first.step, narrow=not effects)
+        setting = replace(self.setting, model=first, kernel=kernel)
+        try:
+            starts, test, _ = _from_white_noise(setting, more)
+        except SimulationError:
+            return None
+        return fit_disturbed(setting, starts, test, polish=0).finite
 
     def settle(self, found: FilteredSolution) -> FilteredSolution:
         """Estimate once more, colours of sensors and own times of disturbances admitted."""
@@ -540,11 +550,31 @@ def fitting_candidates(base: Model, candidates: Sequence[Effect]) -> tuple[Effec
     return tuple(kept)
 
 
-def _white_fit(model: Model, train: Dataset) -> tuple[Fit, Start | None]:
-    """A fit to white noise, and where it ended as a start; None where it diverged."""
-    fit = PLAIN.fit(model, train)
-    ended = Start(fit.model.values, fit.initial_states, fit.local_values)
-    return fit, ended if np.isfinite(fit.cost) else None
+def _from_white_noise(
+    setting: Setting, more: Sequence[Model] = ()
+) -> tuple[list[Start], ScoreTest, Fit]:
+    """Where a model's estimation begins, levels to begin with, and its fit to white noise.
+
+    That is the best from its own values and from those of the same model in ``more``.
+    """
+    model, train = setting.model, setting.dataset
+    shooting = Shooting(model, train, setting.white)
+    starts = [Start.at(shooting, shooting.start_unknowns())]
+    fit = min((PLAIN.fit(one, train) for one in (model, *more)), key=lambda one: one.cost)
+    if np.isfinite(fit.cost):
+        starts.append(Start(fit.model.values, fit.initial_states, fit.local_values))
+    test = _best_test(setting, starts)
+    level = np.where(np.isin(test.noise.places, setting.known), 0.0, test.noise.force)
+    return starts, replace(test, noise=replace(test.noise, force=level)), fit
+
+
+def usual(effects: Sequence[Effect]) -> dict[str, float]:
+    """Values of effects as large as they usually are."""
+    return {
+        p.name: min(p.magnitude, p.upper) if p.name in effect.amplitude_names else p.value
+        for effect in effects
+        for p in effect.parameters
+    }
 
 
 def _best_test(setting: Setting, starts: Sequence[Start]) -> ScoreTest:

@@ -1,0 +1,69 @@
+"""The search for missing effects: no stage returns less than it was given, nor than a plain fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from oed_sysid import (
+    Dataset,
+    Input,
+    Model,
+    Output,
+    Parameter,
+    Record,
+    State,
+)
+from oed_sysid.evidence.search import not_astray
+from oed_sysid.evidence.study import Study
+from oed_sysid.physics import actuator_lag
+
+TURNING = {"a_v": 0.12, "a_r": 3.0, "a_d": 0.25, "c_v": 0.004, "c_r": 0.16, "c_d": 0.022}
+SHIP = Model(
+    "turning ship",
+    (State("v", "m/s", scale=0.5), State("r", "rad/s", scale=0.03)),
+    (Input("rudder", "rad"),),
+    (Output("v", "m/s", noise_std=0.02), Output("r", "rad/s", noise_std=0.0006)),
+    kinematics={"v": "-a_v*v - a_r*r + a_d*delta", "r": "-c_v*v - c_r*r - c_d*delta"},
+    actuators={"delta": "rudder"},
+    parameters=tuple(Parameter(name, 0.9 * value, "1") for name, value in TURNING.items()),
+    step=0.5,
+)
+
+
+def turns(seed: int, lag: float, gusts: float = 0.0) -> Dataset:
+    """One run of the ship, rudder held between samples, lagging, in white gusts of sway, m/s^2."""
+    rng, n, step = np.random.default_rng(seed), 400, 0.5
+    rudder = np.repeat(rng.uniform(-0.3, 0.3, n // 20), 20)
+    k = TURNING
+    rates = np.array([
+        [-k["a_v"], -k["a_r"], k["a_d"], 0.0],
+        [-k["c_v"], -k["c_r"], -k["c_d"], 0.0],
+        [0.0, 0.0, -1.0 / lag, 1.0 / lag],
+        [0.0, 0.0, 0.0, 0.0],
+    ])  # fmt: skip
+    move = expm(step * rates)
+    state, states = np.array([0.0, 0.0, rudder[0], rudder[0]]), np.zeros((n, 2))
+    for i, angle in enumerate(rudder):
+        state[3] = angle
+        states[i] = state[:2]
+        state = move @ state + gusts * step * rng.standard_normal() * np.eye(4)[0]
+    seen = states + np.array([0.02, 0.0006]) * rng.standard_normal((n, 2))
+    return Dataset(
+        (Record(f"turn {seed}", step * np.arange(n), rudder[:, None], seen, SHIP.channels),)
+    )
+
+
+def test_an_effect_is_estimated_anew_from_nominal_values() -> None:
+    """A lag in the place of the ship's own time leads back to nowhere; white noise does."""
+    lag = actuator_lag("rudder_lag", "delta", scale=0.5)
+    study, base = Study.begin(SHIP, turns(0, 1.5), None, (lag,), known_noise=False)
+    swapped = {"a_v": -0.07, "a_r": -3.6, "a_d": 0.65, "c_v": 0.02, "c_r": 0.7, "c_d": 0.06}
+    start = base.values | swapped | {"E_rudder_lag": 3.7}
+    astray = study.estimate(study.candidates, start, base, noise=study.quiet(base.noise))
+    assert astray is not None
+    assert astray.values["E_rudder_lag"] > 3.0
+    found = not_astray(study, astray)
+    assert found.values["E_rudder_lag"] == pytest.approx(1.5, abs=0.1)
+    assert found.objective < astray.objective - 90.0
