@@ -8,6 +8,7 @@ from scipy.linalg import expm
 
 from oed_sysid import (
     Dataset,
+    Force,
     Input,
     Model,
     Output,
@@ -15,9 +16,14 @@ from oed_sysid import (
     Record,
     State,
 )
-from oed_sysid.evidence.search import not_astray
+from oed_sysid.evidence.claim import Claim, own_error
+from oed_sysid.evidence.rank import rank
+from oed_sysid.evidence.remainder import Remains
+from oed_sysid.evidence.search import Added, Ended, Search, Standing, not_astray
 from oed_sysid.evidence.study import Study
+from oed_sysid.likelihood.laws import Law
 from oed_sysid.physics import actuator_lag
+from oed_sysid.runtime.journal import Journal
 
 TURNING = {"a_v": 0.12, "a_r": 3.0, "a_d": 0.25, "c_v": 0.004, "c_r": 0.16, "c_d": 0.022}
 SHIP = Model(
@@ -67,3 +73,28 @@ def test_an_effect_is_estimated_anew_from_nominal_values() -> None:
     found = not_astray(study, astray)
     assert found.values["E_rudder_lag"] == pytest.approx(1.5, abs=0.1)
     assert found.objective < astray.objective - 90.0
+
+
+@pytest.mark.parametrize(("seed", "better"), [(3, 1.1), (4, 2.0)])
+def test_forces_are_not_left_out_for_nothing(
+    seed: int, better: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is found without them and not needed beside them is no reason, nor are better runs."""
+    push = Force("push", {"v": "E_push"}, (Parameter("E_push", 0.0, "m/s^2", scale=0.1),))
+    data = turns(seed, 0.1, gusts=0.3)
+    study, base = Study.begin(SHIP, data, None, (push,), known_noise=False)
+    calm, fit = Study.begin(SHIP, data, None, (push,), known_noise=False, disturbances="none")
+    pushed = calm.estimate((push,), fit.values, fit)
+    assert pushed is not None
+    assert own_error(study, base, data) > better * own_error(calm, fit, data)
+    ranking = rank(study, base, ())
+    claimed = Added(push, Claim("push", 20.0, np.nan, 10.0), ("push",))
+    state = Standing(calm, (claimed,), pushed, (fit, pushed))
+    monkeypatch.setattr(Search, "ended", lambda *given: (state, ranking, None))
+    left = Remains(500.0, None, follows=(Law("force v", ("v",), 90.0, 40, 80.0),))
+    end = Ended(Standing(study, (), base, (base,)), ranking, None, left)
+    search = Search(1, lambda text: None, Journal(), [], None, terms=False)
+    found = search.calmer(end, calm, fit).state
+    assert not found.added
+    assert found.fit.objective < pushed.objective - 200.0
+    assert found.fit.noise.level("force v")[0] == base.noise.level("force v")[0]

@@ -189,17 +189,17 @@ class Search:
         not: the right effect does not lead out of that valley. What the other search finds is
         claimed against what this one has, with disturbance forces in both. Where that is not
         likelier, whole runs decide: a constant force, say, does not show beside forces that
-        wander, and process noise could not have left runs that are so much better. Process noise
-        that follows motion or commands is none, so that any better runs do of no more effects.
+        wander, and process noise could not have left runs that are so much better. Nothing found is
+        no reason to leave out forces that the records ask for.
         """
-        price = 1.0 if end.left.follows else BOUGHT
         calm, first, last = self.ended(study, base)
         found, present = end.state.study, end.state.fit
         noise = found.quiet(found.loosened(present.noise))
         fit = calm.added and found.estimate(calm.effects, calm.fit.values, calm.fit, noise=noise)
         if not fit:
             return end
-        more = sum(calm.needed(effect) for effect in calm.effects)
+        # More than nothing, where both found the same.
+        more = 2.0 * NEAR + sum(calm.needed(effect) for effect in calm.effects)
         more -= sum(end.state.needed(effect) for effect in end.state.effects)
         decided = claim(found, present, fit, calm.effects, more)
         state = replace(calm, decisions=(*end.state.decisions, decided))
@@ -210,11 +210,10 @@ class Search:
             )
             state = asked_again(replace(state, study=found, fit=fit, path=(*calm.path, fit)))
             return self.beyond(Ended(state, first, last, self._left(state)))
-        state = eliminated(state, found, noise, price)
-        price = BOUGHT if len(state.added) > len(end.state.added) else price
+        state = eliminated(state, found, noise, BOUGHT)
         records = study.train if study.validation is None else study.validation
         here, there = own_error(found, present, records), own_error(study, state.fit, records)
-        if not price * there < here:
+        if not (state.added and BOUGHT * there < here):
             return replace(end, state=replace(end.state, decisions=state.decisions))
         self.notes.append(
             "Disturbance forces had grown over what is missing: whole runs of what was found "
