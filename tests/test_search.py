@@ -11,6 +11,7 @@ from oed_sysid import (
     Force,
     Input,
     Model,
+    MultipleShooting,
     Output,
     Parameter,
     Record,
@@ -19,7 +20,7 @@ from oed_sysid import (
 from oed_sysid.evidence.claim import Claim, own_error
 from oed_sysid.evidence.rank import rank
 from oed_sysid.evidence.remainder import Remains
-from oed_sysid.evidence.search import Added, Ended, Search, Standing, not_astray
+from oed_sysid.evidence.search import Added, Ended, Search, Standing, not_astray, with_waves
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.laws import Law
 from oed_sysid.physics import actuator_lag
@@ -98,3 +99,52 @@ def test_forces_are_not_left_out_for_nothing(
     assert not found.added
     assert found.fit.objective < pushed.objective - 200.0
     assert found.fit.noise.level("force v")[0] == base.noise.level("force v")[0]
+
+
+ROLLING = Model(
+    "rolling ship",
+    (State("p", "rad/s", scale=0.01), State("phi", "rad", scale=0.05)),
+    (Input("rudder", "rad"),),
+    (Output("phi", "rad", noise_std=0.003),),
+    kinematics={"p": "-K_p*p - K_phi*phi - K_d*rudder", "phi": "p"},
+    parameters=tuple(
+        Parameter(name, value, "1")
+        for name, value in (("K_p", 0.05), ("K_phi", 0.15), ("K_d", 0.02))
+    ),
+    step=0.5,
+)
+
+
+def rolls(seed: int, level: float) -> Dataset:
+    """Three runs in twelve waves about 9 s, of a level in rad/s^2; forces held a tenth of 1 s."""
+    rng, times, found = np.random.default_rng(seed), np.arange(300.0), []
+    rates = np.array([[-0.05, -0.15, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    move, middle = expm(0.1 * rates), np.arange(3000) * 0.1 + 0.05
+    for run in range(3):
+        rudder = np.repeat(rng.uniform(-0.3, 0.3, 15), 20)
+        phases = 2 * np.pi * (middle[:, None] / np.linspace(8.0, 10.0, 12) + rng.random(12))
+        push = level * np.cos(phases).sum(axis=1) / np.sqrt(6.0) - 0.02 * np.repeat(rudder, 10)
+        states = np.zeros((3001, 3))
+        for k, force in enumerate(push):
+            states[k, 2] = force
+            states[k + 1] = move @ states[k]
+        seen = states[:3000:10, 1:2] + 0.003 * rng.standard_normal((300, 1))
+        found.append(Record(f"run {run}", times, rudder[:, None], seen, ROLLING.channels))
+    return Dataset(tuple(found))
+
+
+def test_a_swell_is_found_that_the_noise_of_a_sensor_had_taken() -> None:
+    """It moves the ship about as much as the inclinometer's noise, which is free to grow."""
+    data = rolls(1, 0.0008)
+    study, base = Study.begin(ROLLING, data, None, (), known_noise=False)
+    fit = study.settle(base)
+    assert fit.noise.has_colour
+    found = with_waves(Standing(study, (), fit, (fit,)), None)
+    (sea,) = found.fit.noise.seas
+    assert sea.period == pytest.approx(8.8, abs=0.3)
+    assert sea.level[0] == pytest.approx(0.0008, rel=0.15)
+    assert found.fit.noise.white[0] == pytest.approx(0.003, rel=0.05)
+    assert found.fit.objective < fit.objective - 100.0
+    plain = MultipleShooting().fit(ROLLING, data)
+    posed = study.polished(found.fit)
+    assert study.result(posed, "").log_likelihood > plain.log_likelihood - 1.0

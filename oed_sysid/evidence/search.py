@@ -308,7 +308,7 @@ def with_waves(state: Standing, rival: Claim | None) -> Standing:
     better: noise leaves those as they are.
     """
     study, fit = state.study, state.fit
-    found, places = _at_sea(state)
+    found, places = _at_sea(state, last=rival is None)
     if found is fit or not found.noise.seas:
         return state
     # A level in each place, a period that is the best of many, and a width.
@@ -328,14 +328,21 @@ def with_waves(state: Standing, rival: Claim | None) -> Standing:
     return replace(state, decisions=(*earlier, decided))
 
 
-def _at_sea(state: Standing) -> tuple[FilteredSolution, list[str]]:
-    """The fit with a sea where one may still act, and the places of its forces."""
+def _at_sea(state: Standing, *, last: bool) -> tuple[FilteredSolution, list[str]]:
+    """The fit with a sea where one may still act, and the places of its forces.
+
+    In the ``last`` round what declared sensors were granted may be waves: with the noise that was
+    declared the model is estimated anew.
+    """
     fit, setting = state.fit, state.study.setting
     places = [place for place in setting.at_sea if place in fit.noise.places]
     asked = state.calm is None and not setting.seas and not fit.noise.seas
     if not (asked and places):
         return fit, []
-    return with_sea(fit, replace(setting, any_sea=True)), places
+    found = with_sea(fit, replace(setting, any_sea=True))
+    if last and found is fit and np.any((fit.noise.colour > 0) & ~state.study.estimated):
+        found = state.study.anew(fit, at_sea=True) or fit
+    return found, places
 
 
 def _explained(sea: Claim, rival: Claim) -> bool:

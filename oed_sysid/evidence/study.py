@@ -319,9 +319,10 @@ class Study:
         problem = self.problem(effects, values, levels, self.train, step=step)
         return _solved(problem, start, max_iterations)
 
-    def anew(self, found: FilteredSolution) -> FilteredSolution | None:
+    def anew(self, found: FilteredSolution, *, at_sea: bool = False) -> FilteredSolution | None:
         """The same effects estimated as the nominal model was, from its values and white noise.
 
+        With ``at_sea`` a sea may act, which is looked for beside declared levels of the sensors.
         None where the model diverges.
         """
         effects, step = self.effects_of(found), found.problem.model.step
@@ -334,11 +335,14 @@ class Study:
         )
         kernel = self.kernel_by(first.step, narrow=not effects)
         setting = replace(self.setting, model=first, kernel=kernel)
+        if at_sea:
+            setting = replace(setting, any_sea=True, estimated=self.estimated)
         try:
             starts, test, _ = _from_white_noise(setting, more)
         except SimulationError:
             return None
-        return fit_disturbed(setting, starts, test, polish=0).finite
+        end = fit_disturbed(setting, starts, test, polish=0).finite
+        return end and (self.estimate(effects, end.values, end) if at_sea else end)
 
     def settle(self, found: FilteredSolution) -> FilteredSolution:
         """Estimate once more, colours of sensors and own times of disturbances admitted."""
