@@ -323,15 +323,21 @@ def test_rounds_bound_the_time_of_a_search() -> None:
     show = Shown("Ranking", clock=lambda: now[0], told=lambda _, seconds: left.append(seconds))
     _round(show, 4, "fitting the nominal model")
     assert left[-1] is None
-    for words, seconds in (("locating where it fails", 35.0), ("ranking, round 1", 28.0)):
+    for words, seconds in (("ranking, round 1", 35.0), ("ranking, round 2", 28.0)):
         now[0] += 7.0
         _round(show, 4, words)
         assert left[-1] == pytest.approx(seconds)
     now[0] += 7.0
     assert show.remaining == "about 21 s left, or less"
     now[0] += 30.0
-    show.say("ranking, round 1: still")
+    show.say("ranking, round 2: still")
     assert left[-1] is None
+    # What ended early leaves this and no rounds.
+    now[0] += 9.0
+    _round(show, 4, "locating where the nominal model fails")
+    assert left[-1] == pytest.approx(60.0 / 5)
+    _round(show, 4, "fits and errors of every step")
+    assert left[-1] == pytest.approx(60.0 / 5)
 
 
 def test_closed_pipe_is_no_failure(tmp_path: Path) -> None:

@@ -666,12 +666,12 @@ def _status(fits: Sequence[Fit], *, suspect: bool) -> int:
 def _round(show: Shown, n_most: int, what: str) -> None:
     """Tell what is being done, and how long a search of so many rounds takes at most.
 
-    The fit of the nominal model and the search for the place where it fails take about as long
-    as a round.
+    The fit of the nominal model takes about as long as a round, and so does the search for the
+    place where it fails, which comes after all rounds.
     """
     show.say(what)
     named = re.search(r"round (\d+)", what)
-    done = 1 + int(named[1]) if named else int(what.startswith("locating"))
+    done = int(named[1]) if named else (1 + n_most) * what.startswith("locating")
     show.share(done / (2 + n_most), at_most=True)
 
 
