@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from test_design import LIMITS, sea, ship
 
-from oed_sysid import Experiment, Limits, design
+from oed_sysid import Experiment, Input, Limits, Parameter, design
 from oed_sysid.design import (
     AOptimal,
     Budget,
@@ -112,6 +112,35 @@ def test_candidates_keep_the_limits_on_all_vehicles_shown() -> None:
             record = simulate(vehicle, run.experiment, noise=False)
             assert np.abs(record.output("psi")).max() <= 0.6 * (1 + 1e-9)
             assert np.abs(np.diff(record.input("rudder"))).max() <= 0.1 * (1 + 1e-6)
+
+
+def test_every_input_that_a_pattern_leaves_is_commanded_in_turn() -> None:
+    """A moment that only a thruster tells is known after the next run, with the rudder at trim."""
+    model = ship(
+        inputs=(Input("rudder", "rad"), Input("thrust", "N")),
+        kinematics={"psi": "r", "r": "b*rudder - d*r - c*r*abs(r) + e*thrust"},
+        parameters=tuple(
+            replace(one, prior_std=0.5 * one.value)
+            for one in (*ship().parameters, Parameter("e", 0.02, "1/(N s^2)"))
+        ),
+    )
+    limits = replace(LIMITS, inputs=LIMITS.inputs | {"thrust": (-2.0, 2.0)})
+    rng = np.random.default_rng(0)
+    kinds = ("straight", "zigzag", "levels")
+    runs = candidate_runs(model, PATTERN, limits=limits, rng=rng, kinds=kinds)
+    assert len({run.name for run in runs}) == len(runs)
+    moved = {(run.kind, one.input) for run in runs for one in run.experiment.manoeuvres}
+    assert moved == {
+        ("straight", "rudder"), ("zigzag", "rudder"), ("levels", "rudder"), ("levels", "thrust")
+    }  # fmt: skip
+    of_thrust = [run for run in runs if " N of thrust" in run.name]
+    goals = (design.ParameterGoal("b", 1e-3), design.ParameterGoal("e", 0.05))
+    found = design.decide(model, of_thrust, goals, rng=rng)
+    assert [one.now for one in found.goals] == pytest.approx([0.5, 0.5])
+    assert found.goals[0].then == pytest.approx(0.5)
+    assert found.goals[1].then < 0.05
+    # The goal that the run brings nearer, although the other is the further one.
+    assert "brings e from 50% to" in found.answer()
 
 
 def test_quick_zigzags_keep_a_corridor_that_equal_ones_leave_and_tell_more() -> None:

@@ -346,7 +346,8 @@ class Decision:
             return f"STOP{done}: {REASONS[self.action]}{rest}."
         brings, left = "checks what one run alone has said", "not all goals can be planned for"
         if unmet:
-            far = max(unmet, key=lambda one: one.now / one.goal.tolerance)
+            # The goal that the run was chosen for, not one that it leaves as it is.
+            far = max(unmet, key=lambda one: one.now / max(one.then, one.goal.tolerance))
             now, then = (far.goal.words(self.model, value) for value in (far.now, far.then))
             brings = f"brings {far.goal.name} from {now} to {then}"
         if np.isfinite(self.hours_left):

@@ -1,10 +1,11 @@
 r"""Runs that a crew would know, within the limits: standard ones, and candidates of a programme.
 
-Every kind is made at several sizes and at every *pattern* (a speed, a start, constant inputs) and
-is shrunk until all limits of the motion hold on the nominal vehicle and on vehicles drawn from
-what is known. Circles and spirals are for vehicles with a heading. Commands of open-loop kinds
-keep range and rate of the actuator by construction. With :math:`\bar\delta` the range of the
-input,
+Every kind is made at several sizes, at every *pattern* (a speed, a start, constant inputs) and of
+every input that the pattern does not hold, one after the other; it is shrunk until all limits of
+the motion hold on the nominal vehicle and on vehicles drawn from what is known. Circles and
+spirals are for vehicles with a heading, zigzags of inputs that are angles where there are any.
+Commands of open-loop kinds keep range and rate of the actuator by construction. With
+:math:`\bar\delta` the range of the input,
 
 .. math:: \delta(t) = \delta_0 + s\,\bar\delta\, g(t), \qquad s \in \{1, 0.6, 0.35, 0.2, 0.1, 0.05\}
 
@@ -43,6 +44,8 @@ from oed_sysid.physics.model import Model
 KINDS = (
     "straight", "zigzag", "zigzag ahead", "3-2-1-1", "multisine", "levels", "circle", "spiral",
 )  # fmt: skip
+# Those that are closed over the vehicle's attitude.
+CLOSED = frozenset({"zigzag", "zigzag ahead"})
 # Attitudes on which a zigzag reverses, in order of preference; their rates; what it can keep.
 ATTITUDES = ("psi", "theta", "phi")
 _RATES = {"psi": "r", "theta": "q", "phi": "p"}
@@ -235,10 +238,19 @@ def candidate_runs(
     if not speeds or turnaround < 0:
         raise DesignError("Give one pattern or more, and a turnaround that is not negative.")
     for pattern, tail, length in _variants(model, speeds, durations):
-        bench = replace(Bench.of(model, limits, pattern, length), vehicles=vehicles, kept=kept)
-        for experiment, kind, share in bench.runs(kinds, rng):
-            named = replace(experiment, name=f"{experiment.name}{tail}")
-            found.append(Candidate(named, kind, length + turnaround, share))
+        benches = Bench.each(model, limits, pattern, length)
+        any_angle = any(bench.unit == "rad" for bench in benches)
+        for number, bench in enumerate(benches):
+            # A straight run is the same of every input; an angle of a thrust means nothing.
+            left_out = {"straight"} if number else set()
+            left_out |= CLOSED if any_angle and bench.unit != "rad" else set()
+            own = [kind for kind in kinds if kind not in left_out]
+            of = f" of {bench.name}" if len(benches) > 1 else ""
+            tried = replace(bench, vehicles=vehicles, kept=kept)
+            for experiment, kind, share in tried.runs(own, rng):
+                said = f"{experiment.name}{of if kind != 'straight' else ''}{tail}"
+                run = replace(experiment, name=said)
+                found.append(Candidate(run, kind, length + turnaround, share))
     if not found:
         raise DesignError(
             "No run of any kind keeps the limits on the vehicles that are possible. Widen the "
@@ -319,22 +331,31 @@ class Bench:
     feedback: str = ""
 
     @classmethod
-    def of(cls, model: Model, limits: Limits, pattern: Experiment, length: float) -> Bench:
-        """One pattern and length on which all kinds are tried."""
+    def each(cls, model: Model, limits: Limits, pattern: Experiment, length: float) -> list[Bench]:
+        """One for every input that a pattern leaves to be commanded, the others at trim."""
         held = dict(pattern.constants)
         if not (names := [n for n in model.input_names if n in limits.inputs and n not in held]):
             raise DesignError(
                 f"Pattern {pattern.name!r} leaves no input with a range to command. Give "
                 "Limits(inputs={'rudder': (-0.3, 0.3)}), on the command line --limit rudder=-17:17."
             )
-        held |= {n: trim_within(*limits.inputs[n]) for n in names[1:]}
-        grid = Grid.of(limits, names[:1], length, pattern.sample_time, {})
-        return cls(model, grid, held, pattern.initial, limits, LimitBounds.of(model, limits))
+        trims = {name: trim_within(*limits.inputs[name]) for name in names}
+        bounds, made = LimitBounds.of(model, limits), []
+        for name in names:
+            grid = Grid.of(limits, [name], length, pattern.sample_time, {})
+            others = held | {other: trims[other] for other in names if other != name}
+            made.append(cls(model, grid, others, pattern.initial, limits, bounds))
+        return made
 
     @property
     def name(self) -> str:
         """The input."""
         return self.grid.inputs[0]
+
+    @property
+    def unit(self) -> str:
+        """Of the input."""
+        return next(one.unit for one in self.model.inputs if one.name == self.name)
 
     @property
     def trim(self) -> float:
@@ -463,8 +484,8 @@ class Bench:
         """Commands of one shape and size."""
         room = np.where(wave > 0, self.grid.upper, self.grid.lower) - self.trim
         largest = size * float(self.grid.upper[0] - self.trim)
-        unit = next(i.unit for i in self.model.inputs if i.name == self.name)
-        said = f"{degrees(largest):.2g} deg" if unit == "rad" else f"{largest:.3g} {unit}"
+        angle = self.unit == "rad"
+        said = f"{degrees(largest):.2g} deg" if angle else f"{largest:.3g} {self.unit}"
         name = f"{kind} {said}" if wave.any() else kind
         return self.held_commands(name, self.trim + np.abs(room) * (size * wave))
 
