@@ -88,6 +88,8 @@ def test_limit_words_find_their_channels() -> None:
         ("max:depth-rate=1", "rate of 'z'"),
         ("fin", "not understood"),
         ("depth=90:80", "leaves nothing"),
+        ("max:fin=0", "leaves nothing between 0 and 0 rad.*constants"),
+        ("max:pitch=0", "leaves nothing"),
     ):
         with pytest.raises(DesignError, match=words):
             with_limits(model, Limits(), [wrong])

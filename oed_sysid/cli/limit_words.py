@@ -182,12 +182,12 @@ def _range(model: Model, limits: Limits, word: str, side: str, text: str) -> tup
     elif side == "min":
         lower, upper = values[0], before[1]
     else:
-        both = channel.unit in ANGLES and values[0] > 0
-        lower, upper = -values[0] if both else before[0], values[0]
+        both = channel.unit in ANGLES and values[0] >= 0
+        lower, upper = 0.0 - values[0] if both else before[0], values[0]
     if not lower < upper:
         raise DesignError(
             f"The limit {word} {text} leaves nothing between {lower:g} and {upper:g} "
-            f"{channel.unit}. Correct it."
+            f"{channel.unit}. Correct it; an input stands still in the constants of an experiment."
         )
     words = f"{word} is {channel.name} ({channel.label or channel.unit})"
     return _changed(limits, group, {channel.name: (lower, upper)}), words
