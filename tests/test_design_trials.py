@@ -479,6 +479,7 @@ def test_the_card_is_one_page_with_danger_in_red(design: Design) -> None:
         assert lowest.get_position()[1] > top
         assert (figure.texts[0].get_color() == DANGER) is alarming
     assert "STOP THE RUN" in risky.sea_trial_card()
+    assert "--certainty" not in risky.sea_trial_card()
     left = 1 - risky.assurance.probability
     for page in (risky.card().document(), risky.document()):
         first = page.html().partition('<p class="danger">')[2]

@@ -41,8 +41,8 @@ NO_LIMIT = (
     "room allow; in doubt design anew with limits (such as --max-pitch 20)."
 )
 NOT_SAFE = (
-    "That is NOT safe unless the coefficients are known better: stand by to stop, fly a gentler "
-    "run first, or design with --certainty 0.95."
+    "That is NOT safe unless the coefficients are known better: stand by to stop, and fly a run of "
+    "gentler commands or at a lower speed first, from whose fit this one is designed anew."
 )
 STOP = (
     "Stop when a limit is passed: controls at trim, recover, keep the log. Part of a run is useful."
