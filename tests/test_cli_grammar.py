@@ -317,6 +317,23 @@ def test_progress_in_a_pipe_is_plain_lines(monkeypatch, capsys) -> None:
             pytest.fail("nothing was said")
 
 
+def test_a_search_that_begins_again_is_timed_anew() -> None:
+    """A pass of 8 rounds takes 10 s, the next 40 s; of neither is it said that it is the last."""
+    now, left = [0.0], []
+    show = Shown("Designing", clock=lambda: now[0], told=lambda _, seconds: left.append(seconds))
+    for seconds in (10.0, 40.0):
+        for number in range(8):
+            now[0] += seconds / 8
+            show.share((number + 1) / 8, at_most=True, of="this pass")
+            if number == 0 and seconds == 40.0:
+                # What the pass before took tells nothing of this one.
+                assert show.remaining == ""
+            if number == 3:
+                assert left[-1] == pytest.approx(seconds / 2)
+                assert show.remaining == f"about {seconds / 2:.0f} s left of this pass, or less"
+        now[0] += 5.0
+
+
 def test_rounds_bound_the_time_of_a_search() -> None:
     """A fit of 7 s is one of six parts of a search of at most four rounds; so is each round."""
     now, left = [10.0], []

@@ -681,7 +681,9 @@ def _searching(show: Shown, n_starts: int, n_steps: int, now: Any) -> None:
     # The three best starts are finished, in up to twice the rounds of the others.
     rounds = (n_starts + 2 * 3) * n_steps
     done = min(now.start, n_starts) + 2 * max(now.start - n_starts, 0)
-    show.share((done * n_steps + now.round + 1) / rounds, at_most=True)
+    # Where other vehicles leave the limits the search begins again with stricter ones.
+    done = (done * n_steps + now.round + 1) / rounds
+    show.share(done, at_most=True, of="this pass")
 
 
 def _on_other_vehicles(

@@ -172,6 +172,9 @@ class Shown:
         self._first: tuple[float, float] | None = None
         self._left: tuple[float, float] | None = None  # when it was said, and seconds
         self._most = self._fitting = False
+        self._of = ""
+        self._reached = (self._began, 0.0)  # when the present pass began, and the share done then
+        self._done = 0.0
 
     def say(self, what: str) -> None:
         """Tell what is being done from now on."""
@@ -197,8 +200,8 @@ class Shown:
             self._most, self._fitting = False, True
         self._tell()
 
-    def share(self, done: float, *, at_most: bool = False) -> None:
-        """Tell which share of the work is done.
+    def share(self, done: float, *, at_most: bool = False, of: str = "") -> None:
+        """Tell which share of the work is done; one that falls begins another pass.
 
         Parameters
         ----------
@@ -206,14 +209,22 @@ class Shown:
             Between 0 and 1.
         at_most : bool
             Whether the work may end earlier.
+        of : str
+            Of which part of the work, if others may follow.
         """
         now = self._clock()
-        if 0.0 < done <= 1.0:
-            self.left((now - self._began) * (1.0 - done) / done, at_most=at_most)
+        if done < self._done:
+            # Passes before tell nothing of this one, which may weigh more vehicles.
+            self._reached, self._left = (now, done), None
+        self._done = done
+        began, before = self._reached
+        if before < done <= 1.0:
+            seconds = (now - began) * (1.0 - done) / (done - before)
+            self.left(seconds, at_most=at_most, of=of)
 
-    def left(self, seconds: float, *, at_most: bool = False) -> None:
+    def left(self, seconds: float, *, at_most: bool = False, of: str = "") -> None:
         """Tell how many seconds are left."""
-        self._left, self._most = (self._clock(), seconds), at_most
+        self._left, self._most, self._of = (self._clock(), seconds), at_most, of
         self._tell()
 
     def _tell(self) -> None:
@@ -244,7 +255,8 @@ class Shown:
         left = self._seconds
         if left is None:
             return "time left not known"
-        return f"about {_duration(left)} left{', or less' * self._most}"
+        of = f" of {self._of}" if self._of else ""
+        return f"about {_duration(left)} left{of}{', or less' * self._most}"
 
     @property
     def line(self) -> str:
