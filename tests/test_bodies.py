@@ -218,6 +218,16 @@ def test_zero_current_is_no_current(dof: int) -> None:
         np.testing.assert_allclose(with_zero[name], values, rtol=1e-12, atol=1e-13)
 
 
+def test_a_floating_hull_without_heave_has_no_depth() -> None:
+    """It heels and sways at the surface; a submerged one that rolls does change its depth."""
+    facts = {"mass": 30.0, "inertia": {"xx": 0.4, "zz": 3.4}, "weight": 294.3}
+    ship = rigid_body(4, metacentric_height=0.1, **facts)
+    assert list(ship.kinematics) == ["phi", "psi", "x", "y"]
+    assert "z" in rigid_body(4, **facts).kinematics
+    asked = rigid_body(4, metacentric_height=0.1, position=("z",), **facts)
+    assert "z" in asked.kinematics
+
+
 @pytest.mark.slow
 def test_fewer_degrees_of_freedom_are_the_plane_motion_of_more() -> None:
     """A symmetric body that moves in the plane follows the six-degree equations."""

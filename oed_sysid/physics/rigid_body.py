@@ -540,7 +540,8 @@ def rigid_body(
     attitude : {"euler", "quaternion"}
         The latter has no singularity and needs all three rotations.
     position : sequence of str, optional
-        Which of ``x y z`` to carry as states; by default all that can change.
+        Which of ``x y z`` to carry as states; by default all that can change, without the depth
+        of a floating body that does not heave.
 
     Returns
     -------
@@ -577,14 +578,19 @@ def rigid_body(
     velocity = [v if v in active else "0" for v in frames.VELOCITIES]
     through = [f"{v}_r" if v in "uvw" and v != "0" else v for v in velocity]
     drift = [f"({v} - {v}_r)" if v in active else "0" for v in "uvw"]
-    if metacentric_height is None and heave_stiffness is None:
-        restoring = body.submerged(weight, buoyancy, centre_of_buoyancy, oriented.rotation[2])
-    else:
+    floats = metacentric_height is not None or heave_stiffness is not None
+    if floats:
         restoring = body.floating(weight, metacentric_height, heave_stiffness)
+    else:
+        restoring = body.submerged(weight, buoyancy, centre_of_buoyancy, oriented.rotation[2])
+    positions = _positions(oriented, velocity, position)
+    if position is None and floats and "w" not in active:
+        # Without heave a heeled hull that sways would sink by its geometry alone.
+        positions.pop("z", None)
     return RigidBody(
         velocities=active,
         axes=axes,
-        kinematics=oriented.states | _positions(oriented, velocity, position),
+        kinematics=oriented.states | positions,
         inertia=_inertia((rigid, added), axes),
         signals=oriented.signals | {f"{v}_r": v for v in active if v in "uvw"},
         effects=(
