@@ -72,6 +72,20 @@ def test_limits_in_words_of_the_trade_and_files_for_those_on_board(
     assert (bag / "metadata.yaml").is_file()
 
 
+def test_a_file_that_cannot_hold_a_run_costs_no_other(ship: Path, tmp_path: Path, capsys) -> None:
+    """Ramps of half a second are no mission; the words of the same run are written all the same."""
+    mission, words, commands = (tmp_path / name for name in ("m.waypoints", "w.txt", "o.csv"))
+    arguments = ["design", str(ship), "--duration", "20", "--servo", "rudder=1"]
+    arguments += ["--controller", f"mission={mission}", f"words={words}", "--out", str(commands)]
+    assert main(arguments) == BAD_INPUT
+    said = capsys.readouterr().err
+    assert "orders 0.5 s apart" in said
+    assert "kind=" not in said
+    assert not mission.exists()
+    assert "20 s" in words.read_text(encoding="utf-8").splitlines()[0]
+    assert np.genfromtxt(commands, delimiter=",", names=True)["t_s"][-1] == 20.0
+
+
 def test_limit_words_find_their_channels() -> None:
     """Words of the trade, names and ranges become limits of the right channel, in SI units."""
     model = load_problem("auv_diving_plane").model

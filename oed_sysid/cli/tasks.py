@@ -835,19 +835,28 @@ class Played(Files):
              lambda path: design.write_overrides(path, *table, servos=self._servos(limits))),
             (self.bag, lambda path: design.write_bag(path, *table)),
         ]  # fmt: skip
-        for path, write in written:
-            if path is not None:
-                write(path)
-                yield f"Written: {path}"
-        if found.experiment.reacts and (self.overrides or self.bag):
-            yield from self._as_table(found, outcome.settings["seed"])
         rules = None if found.assurance is None else found.assurance.rules
         for kind, place in self._controllers().items():
             servos = self._servos(limits) if kind in BY_SERVO else {}
-            design.write_controller(
-                place, found.model, found.experiment, kind, aborts=rules, servos=servos
-            )
-            yield f"Written: {place}"
+            flown = partial(
+                design.write_controller, model=found.model, experiment=found.experiment,
+                kind=kind, aborts=rules, servos=servos,
+            )  # fmt: skip
+            written.append((place, flown))
+        # What one kind of file cannot hold is no reason to lose the others.
+        refused = []
+        for path, write in written:
+            if path is not None:
+                try:
+                    write(path)
+                except DesignError as error:
+                    refused.append(str(error))
+                else:
+                    yield f"Written: {path}"
+        if found.experiment.reacts and (self.overrides or self.bag):
+            yield from self._as_table(found, outcome.settings["seed"])
+        if refused:
+            raise DesignError(" ".join(refused))
 
     def _as_table(self, found: Design, seed: int) -> Iterator[str]:
         """How surely limits are kept where a run that reacts is played as a table."""

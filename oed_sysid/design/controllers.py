@@ -239,8 +239,9 @@ def _mission(plan: dict[str, Any], servos: Mapping[str, Servo]) -> list[str]:
     name = _with_servos(plan, servos)["name"]
     if loops := [one["input"] for one in plan["channels"] if one["kind"] != "table"]:
         raise DesignError(
-            f"The run {name!r} reacts in {', '.join(loops)}, and a mission has no feedback. Write "
-            "kind='ardupilot', or the mission of its table (design.played), which is another run."
+            f"The run {name!r} reacts in {', '.join(loops)}, and a mission has no feedback. Take a "
+            "controller of the kind 'ardupilot', or the mission of its table (design.played), "
+            "which is another run."
         )
     orders: dict[float, dict[str, float]] = {0.0: dict(plan["constants"])}
     for one in plan["channels"]:
@@ -253,7 +254,8 @@ def _mission(plan: dict[str, Any], servos: Mapping[str, Servo]) -> list[str]:
     if (shortest := float(lasting.min(initial=np.inf))) < SHORTEST_ORDER - 1e-9:
         raise DesignError(
             f"The run {name!r} has orders {shortest:.3g} s apart; those of a mission have to be "
-            f"{SHORTEST_ORDER:g} s apart or more. Write kind='ardupilot', or overrides."
+            f"{SHORTEST_ORDER:g} s apart or more. Take samples that long, a controller of the kind "
+            "'ardupilot', or overrides."
         )
     items: list[tuple[float, ...]] = [(0, _WAYPOINT)]
     for time, end in zip(times, ends, strict=True):
