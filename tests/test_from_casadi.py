@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import pickle
 import runpy
 import shutil
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from oed_sysid.cli import DONE
 from oed_sysid.compiled.graph import build
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
@@ -139,6 +141,48 @@ def test_a_saved_fit_does_not_bring_code(tmp_path: Path) -> None:
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert run.returncode != 0
     assert "from_casadi" in run.stderr.splitlines()[-1]
+    assert "--problem FOLDER" in run.stderr.splitlines()[-1]
+
+
+def test_a_folder_brings_the_functions_of_its_saved_fit(tmp_path: Path) -> None:
+    """In a new process `export` reads a fit beside the problem that it is of."""
+    (tmp_path / "ship").mkdir()
+    (tmp_path / "ship" / "problem.py").write_text(
+        "from test_from_casadi import linear_lift, norrbin\nfrom oed_sysid import Problem\n"
+        "problem = Problem('ship', norrbin(linear_lift()), title='Ship')\n"
+    )
+    record = simulate(written(), experiment(), rng=np.random.default_rng(3))
+    fit = MultipleShooting(disturbances="none").fit(norrbin(linear_lift()), Dataset((record,)))
+    fit.save(tmp_path / "fit.json")
+    line = [sys.executable, "-m", "oed_sysid", "export", "fit.json", "--as", "casadi", "--out", "o"]
+    path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [*line, "--problem", "ship"], cwd=tmp_path, env=os.environ | {"PYTHONPATH": path},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == DONE, done.stderr
+    rates = ca.Function.load(str(tmp_path / "o" / "rates.casadi"))
+    assert float(rates([0.1, 0.02], [0.2], fit.model.value_vector, 0.0)[0]) == pytest.approx(0.02)
+
+
+class Tanh(ca.Callback):
+    """A function that Python evaluates."""
+
+    def __init__(self) -> None:
+        ca.Callback.__init__(self)
+        self.construct("tanh", {"enable_fd": True})
+
+    def eval(self, given: list[ca.DM]) -> list[float]:
+        """Its value."""
+        return [np.tanh(float(given[0]))]
+
+
+def test_what_is_no_function_of_casadi_is_refused() -> None:
+    """A callback lives with its Python object, and a function of Python is none of CasADi."""
+    with pytest.raises(ModelError, match=r"'tanh', which cannot be copied.*no callbacks"):
+        norrbin(Tanh())
+    with pytest.raises(ModelError, match=r"no function of CasADi. Write casadi\.Function"):
+        Model.from_casadi(lambda x, u, p: -p * x, states=STATES)  # type: ignore[arg-type]
 
 
 def test_without_c_the_interpreter_runs_it() -> None:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from oed_sysid.data.logs import Log, LogMapping
     from oed_sysid.experiments.experiment import Experiment
     from oed_sysid.experiments.problem import Problem
+    from oed_sysid.likelihood.fit import Fit
     from oed_sysid.runtime.display import Report
     from oed_sysid.runtime.parallel import CellProgress
 
@@ -303,6 +304,7 @@ def report(
     saved: Path,
     out: Path = Path("report.html"),
     validate: list[str] | None = None,
+    problem: str | None = None,
 ) -> None:
     """Write the report on a saved fit, with its predictions of validation records.
 
@@ -325,7 +327,7 @@ def report(
             )
         store(content)
         return
-    kept = oed_sysid.Fit.load(saved)
+    kept = _kept(saved, problem)
     made = read_result(saved, "fit")[1]
     if made.get("command"):
         note(f"Made by oed_sysid {made.get('version')}: {made['command']}")
@@ -340,11 +342,19 @@ def report(
     draw(own if comparison is None else predicted([comparison.best]), asked("picture"))
 
 
+def _kept(file: Path, problem: str | None) -> Fit:
+    """A saved fit; functions of CasADi that its model calls are those of its problem."""
+    if problem is not None:
+        oed_sysid.load_problem(problem)
+    return oed_sysid.Fit.load(file)
+
+
 def export(
     fit: Path,
     kind: str = "",
     out: Path = Path("model"),
     at: list[str] | None = None,
+    problem: str | None = None,
 ) -> None:
     """Write a fitted model for another program, with the covariance of its parameters.
 
@@ -360,7 +370,7 @@ def export(
         store({"kinds": KINDS})
         return
     trim = numbers("--at", at or (), "NAME=VALUE, such as u=1.5")
-    result = oed_sysid.Fit.load(fit)
+    result = _kept(fit, problem)
     files = list(export_model(result, kind, out, trim=trim or None))
     n = len(result.names)
     answer(f"{result.model.name} as {kind}, with {n} parameters and their covariance: {files[0]}")

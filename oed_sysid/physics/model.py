@@ -343,7 +343,12 @@ class Model(Structure):
 
 
 def _check_derivatives(function: ca.Function) -> None:
-    """Refuse a function that calls what cannot be differentiated."""
+    """Refuse what is no function of CasADi, or calls what cannot be differentiated."""
+    if not isinstance(function, ca.Function):
+        raise ModelError(
+            f"{function!r} is no function of CasADi. Write casadi.Function('f', [x, u, p], "
+            "[rates]) of symbols such as x = casadi.MX.sym('x', 2)."
+        )
     try:
         function.jacobian()
     except RuntimeError as error:

@@ -274,6 +274,8 @@ def _remembered(name: str, function: ca.Function) -> str:
     """
     try:
         text = function.serialize()
+        # A callback of Python is written without complaint, but cannot be read back.
+        ca.Function.deserialize(text)
     except RuntimeError as error:
         raise ModelError(
             f"Function {name!r} calls CasADi's {function.name()!r}, which cannot be copied to "
@@ -290,8 +292,8 @@ def _called(digest: str, result: int, arguments: list[ca.SX]) -> ca.SX:
     if digest not in _CALLED:
         raise ModelError(
             f"A function of CasADi with the digest {digest} belongs to this model and is not "
-            "stored with it. Build the model from its CasADi functions first "
-            "(oed_sysid.Model.from_casadi), then read what was saved."
+            "stored with it. Build the model first: load_problem(its folder), on the command line "
+            "--problem FOLDER, or Model.from_casadi; then read what was saved."
         )
     function, rest, parts = _CALLED[digest], iter(arguments), list[ca.SX]()
     for i in range(function.n_in()):
