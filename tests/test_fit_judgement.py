@@ -339,6 +339,13 @@ def test_runaway_values_are_not_converged() -> None:
     assert [c.kind for c in judge(far)] == ["runaway"]
     away = replace(fit, predictions=tuple(1e12 + part for part in fit.predictions))
     assert [c.kind for c in judge(away)] == ["runaway"]
+    # Nothing said how large one may be that starts at zero.
+    name = fit.names[0]
+    assert "scale=" not in judge(far)[0].text
+    large = replace(fit, estimates=fit.estimates * 0 + 3e9, nominal={**fit.nominal, name: 0.0})
+    sized = replace(fit.model.parameter(name), value=0.0, scale=None)
+    found = judge(replace(large, model=fit.model.with_parameter(sized)))
+    assert f"Parameter({name!r}, ..., scale=3e+09)" in " ".join(one.text for one in found)
 
 
 def test_a_model_at_rest_is_degenerate() -> None:

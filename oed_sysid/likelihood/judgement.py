@@ -578,7 +578,12 @@ def _far_values(fit: Estimate) -> Iterator[Found]:
         most = RUNAWAY if np.isfinite(fit.std_errors.get(name, 0.0)) else UNSEEN
         limit = most * scale if scale > 0 else 1e15
         if not abs(value) <= max(limit, 1.0):
-            facts = {"value": value, "unit": f" {parameter.unit}".rstrip()}
+            facts = {"value": value, "unit": f" {parameter.unit}".rstrip(), "cure": ""}
+            if scale > 0.0 and parameter.scale is None and not fit.nominal[name]:
+                facts["cure"] = (
+                    f" It starts at zero, so that its size was taken to be {scale:g}; if it may be "
+                    f"as large, say Parameter({name!r}, ..., scale={abs(value):.0e})."
+                )
             yield Found(abs(value) / (scale or 1.0), name, facts=facts)
 
 
@@ -592,7 +597,7 @@ def _far_outputs(fit: Estimate) -> Iterator[Found]:
     sizes = tops / np.max([highest, spread, fit.sigma], axis=0)
     for column in np.flatnonzero(sizes > RUNAWAY):
         output = fit.model.outputs[column]
-        facts = {"value": tops[column], "unit": f" {output.unit}".rstrip()}
+        facts = {"value": tops[column], "unit": f" {output.unit}".rstrip(), "cure": ""}
         yield Found(sizes[column], output.name, facts=facts)
 
 
@@ -814,7 +819,7 @@ CHECKS = (
     Check(
         "runaway", _runaway, f"{RUNAWAY:g} scales ({UNSEEN:g} where nothing shows a value)",
         "{signal} ran away to {value:.3g}{unit}, far beyond any scale. Start closer, "
-        "bound the parameters, or fix those that the records do not show.",
+        "bound the parameters, or fix those that the records do not show.{cure}",
     ),
     Check(
         "integration", _integration, f"{STEP_CHANGE:g} noise levels",
