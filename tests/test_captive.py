@@ -19,8 +19,9 @@ from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import ZigZag
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.likelihood.captive import CaptiveTests
+from oed_sysid.likelihood.disturbances import chosen_places
 from oed_sysid.physics import Actuator, ExtraState, Force, Parameter
-from oed_sysid.physics.channels import Input
+from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
 
 TRUTH = {"Y_v": -40.0, "Y_r": 25.0, "N_v": -15.0, "N_r": -60.0, "Y_d": 12.0, "N_d": -30.0}
@@ -55,6 +56,20 @@ def forces(v: np.ndarray, delta: np.ndarray) -> dict[str, np.ndarray]:
         "Y": TRUTH["Y_v"] * v + TRUTH["Y_d"] * delta,
         "N": TRUTH["N_v"] * v + TRUTH["N_d"] * delta,
     }
+
+
+def test_what_turns_needs_a_moment_whatever_its_axis_is_called() -> None:
+    """A shaft on a bench has an axis Q in N m, a cart an axis M in N."""
+    for axis, rate, unit in (("Q", "rad/s", "N m"), ("M", "m/s", "N")):
+        model = Model(
+            "bench", (State("n", rate),), (Input("V", "V"),), (Output("n", rate),),
+            axes={axis: "n"}, inertia={(axis, "n"): "2"},
+            effects=(Force("motor", {axis: "k*V"}, (Parameter("k", 0.2),)),),
+        )  # fmt: skip
+        (force,) = chosen_places(model, "all")
+        assert (force.name, force.unit) == (f"force {axis}", unit)
+        towed = CaptiveTests("tests", {"n": [1.0]}, {"V": [1.0]}, {axis: [2.0]}, {axis: 0.1})
+        assert towed.towed(model).outputs[-1].unit == unit
 
 
 def drift_tests(noise: float = 0.0) -> CaptiveTests:

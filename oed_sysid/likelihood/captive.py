@@ -30,6 +30,7 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.data.record import MINIMUM_SAMPLES
 from oed_sysid.errors import DataError, ModelError, UnitWarning, located
+from oed_sysid.likelihood.disturbances import equation_units
 from oed_sysid.likelihood.estimate import CaptiveErrors
 from oed_sysid.likelihood.estimator import Estimator
 from oed_sysid.likelihood.fit import Fit
@@ -168,6 +169,7 @@ class CaptiveTests:
             for s in model.states
             if s.name in moved
         ]
+        units = equation_units(model)
         outputs = [
             replace(o, expression=moved[o.source]) if o.source in moved else o
             for o in model.outputs
@@ -177,18 +179,18 @@ class CaptiveTests:
             name=f"{model.name}, towed",
             states=tuple(replace(s, name=own[s.name]) for s in model.states),
             inputs=(*model.inputs, Input(TOWED, "1", "1 where the motion is given"), *held),
-            outputs=(*outputs, *map(self._force, self.forces)),
+            outputs=(*outputs, *(self._force(axis, units[axis]) for axis in self.forces)),
             kinematics={s: f"(1 - {TOWED})*({text})" for s, text in model.kinematics.items()},
             axes={axis: own[state] for axis, state in model.axes.items()},
             inertia={(axis, own[s]): text for (axis, s), text in model.inertia.items()},
             signals={**signals, **model.signals},
         )
 
-    def _force(self, axis: str) -> Output:
+    def _force(self, axis: str, unit: str) -> Output:
         """What a towed model measures about an axis."""
         return Output(
             _FORCE.format(axis),
-            "N" if axis in "XYZ" else "N m",
+            unit,
             f"force of {axis}",
             expression=f'force("{axis}")',
             noise_std=self.noise[axis],

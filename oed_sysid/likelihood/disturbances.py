@@ -88,7 +88,9 @@ def places(model: Model) -> tuple[Place, ...]:
 def equation_units(model: Model) -> dict[str, str]:
     """Units of what stands in the equations: rates by state, sums of forces by axis."""
     rates = {state.name: _rate(state.unit) for state in model.states}
-    return rates | {axis: "N m" if axis in ("K", "M", "N") else "N" for axis in model.axes}
+    # What turns needs a moment, whatever the name of its axis.
+    turns = {axis: rates[velocity].startswith("rad") for axis, velocity in model.axes.items()}
+    return rates | {axis: "N m" if turns[axis] else "N" for axis in turns}
 
 
 def _rate(unit: str) -> str:
