@@ -661,7 +661,10 @@ def _manoeuvre(group: Sequence[str], known: Mapping[str, Any], commanded: bool) 
     lines = [f"to tell {' from '.join(group[:3])}: {'; '.join(needs)}."] if needs else []
     if commanded:
         names = " ".join(members)
-        lines.append(f"a manoeuvre for it: oed-sysid design PROBLEM --discriminate {names}")
+        lines.append(
+            "a manoeuvre for it, at the speed and sampling of an experiment of the problem: "
+            f"oed-sysid design PROBLEM --discriminate {names}"
+        )
     return lines
 
 

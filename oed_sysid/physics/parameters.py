@@ -39,7 +39,8 @@ class Parameter:
         A fixed parameter is never estimated.
     scale : float or None
         Typical magnitude; ``None`` takes it from the value, the prior or the
-        bounds. It conditions the numerics and never changes a result.
+        bounds, or else 1. It conditions the numerics and never changes an estimate; one that
+        ends 1e8 times beyond it is said to have run away.
     per_record : bool
         The value differs from record to record (a sensor bias set at
         switch-on, the phase of a wave).

@@ -163,7 +163,12 @@ def sensor_lever_arm(name: str, output: str, rate: str, *, scale: float = 0.3,
 @table.row(Sensor)
 def sensor_lag(name: str, outputs: str | Sequence[str], *, scale: float = 0.3,
                value: float = 0.0) -> None:
-    """First-order lag of one or several outputs, exact for signals linear between samples."""
+    """First-order lag of one or several outputs, exact for signals linear between samples.
+
+    Of one that curves between samples ``h`` apart the estimate is low by about :math:`h^2/(12 E)`,
+    2 % of a lag of two samples and 0.1 % of one of nine, which long records resolve. Record ten
+    samples in a lag where that matters.
+    """
 
 
 @table.row(Sensor)
