@@ -822,7 +822,27 @@ class Played(Files):
             raise FileError(f"{str(self.bag)!r} exists already. Name a folder that does not.")
 
     def write(self, outcome: Outcome, study: Study) -> Iterator[str]:
-        """Write table, card, pulses, bag and controllers."""
+        """Write table, card, pulses, bag and controllers.
+
+        What one kind of file cannot hold is no reason to lose the others.
+        """
+        found, refused = outcome.result, []
+        for path, write in self._writers(outcome, study.problem.title):
+            try:
+                write(path)
+            except DesignError as error:
+                refused.append(str(error))
+            else:
+                yield f"Written: {path}"
+        if found.experiment.reacts and (self.overrides or self.bag):
+            yield from self._as_table(found, outcome.settings["seed"])
+        if refused:
+            raise DesignError(" ".join(refused))
+
+    def _writers(
+        self, outcome: Outcome, title: str
+    ) -> Iterator[tuple[Path, Callable[[Path], object]]]:
+        """Every file that was asked for, and what writes it."""
         from oed_sysid import design
         from oed_sysid.design.controllers import BY_SERVO
 
@@ -830,11 +850,12 @@ class Played(Files):
         table = found.model, found.trajectory.times, found.trajectory.inputs
         written: list[tuple[Path | None, Callable[[Path], object]]] = [
             (self.out, found.write_csv),
-            (self.card, partial(self._write_card, outcome, study.problem.title)),
+            (self.card, partial(self._write_card, outcome, title)),
             (self.overrides,
              lambda path: design.write_overrides(path, *table, servos=self._servos(limits))),
             (self.bag, lambda path: design.write_bag(path, *table)),
         ]  # fmt: skip
+        yield from ((path, write) for path, write in written if path is not None)
         rules = None if found.assurance is None else found.assurance.rules
         for kind, place in self._controllers().items():
             servos = self._servos(limits) if kind in BY_SERVO else {}
@@ -842,21 +863,7 @@ class Played(Files):
                 design.write_controller, model=found.model, experiment=found.experiment,
                 kind=kind, aborts=rules, servos=servos,
             )  # fmt: skip
-            written.append((place, flown))
-        # What one kind of file cannot hold is no reason to lose the others.
-        refused = []
-        for path, write in written:
-            if path is not None:
-                try:
-                    write(path)
-                except DesignError as error:
-                    refused.append(str(error))
-                else:
-                    yield f"Written: {path}"
-        if found.experiment.reacts and (self.overrides or self.bag):
-            yield from self._as_table(found, outcome.settings["seed"])
-        if refused:
-            raise DesignError(" ".join(refused))
+            yield place, flown
 
     def _as_table(self, found: Design, seed: int) -> Iterator[str]:
         """How surely limits are kept where a run that reacts is played as a table."""

@@ -238,14 +238,7 @@ def candidate_runs(
     if not speeds or turnaround < 0:
         raise DesignError("Give one pattern or more, and a turnaround that is not negative.")
     for pattern, tail, length in _variants(model, speeds, durations):
-        benches = Bench.each(model, limits, pattern, length)
-        any_angle = any(bench.unit == "rad" for bench in benches)
-        for number, bench in enumerate(benches):
-            # A straight run is the same of every input; an angle of a thrust means nothing.
-            left_out = {"straight"} if number else set()
-            left_out |= CLOSED if any_angle and bench.unit != "rad" else set()
-            own = [kind for kind in kinds if kind not in left_out]
-            of = f" of {bench.name}" if len(benches) > 1 else ""
+        for bench, own, of in _benches(Bench.each(model, limits, pattern, length), kinds):
             tried = replace(bench, vehicles=vehicles, kept=kept)
             for experiment, kind, share in tried.runs(own, rng):
                 said = f"{experiment.name}{of if kind != 'straight' else ''}{tail}"
@@ -257,6 +250,19 @@ def candidate_runs(
             "limits, shorten the runs, or begin with a gentle run and plan from its fit."
         )
     return tuple(found)
+
+
+def _benches(
+    benches: Sequence[Bench], kinds: Sequence[str]
+) -> Iterable[tuple[Bench, Sequence[str], str]]:
+    """Each input with the kinds that mean something of it, and what names it among several."""
+    any_angle = any(bench.unit == "rad" for bench in benches)
+    for number, bench in enumerate(benches):
+        # A straight run is the same of every input; the angles of a zigzag are none of a thrust.
+        left_out = {"straight"} if number else set()
+        left_out |= CLOSED if any_angle and bench.unit != "rad" else set()
+        of = f" of {bench.name}" if len(benches) > 1 else ""
+        yield bench, [kind for kind in kinds if kind not in left_out], of
 
 
 def _distinct(patterns: Iterable[Experiment]) -> list[Experiment]:
