@@ -752,13 +752,7 @@ class _Work:
 
     def _rest(self) -> None:
         """Roles that nothing but name, unit and size tells; commands."""
-        theta, u, z = (self.series(role) for role in ("theta", "u", "z"))
-        if theta is not None and u is not None and z is not None:
-            summed, heaved = self.fields.summed, np.cos(theta)
-            self._explain(
-                "w", self.fields.detrended(z), summed(-u * np.sin(theta)),
-                lambda w: summed(w * heaved), "the depth changes with it",
-            )  # fmt: skip
+        self._heave()
         for angle in RATES:
             if angle not in self.found:
                 self._by_name(angle, range(len(self.fields.every)))
@@ -770,6 +764,16 @@ class _Work:
         for i, one in enumerate(self.fields.every):
             if one.hint in COMMANDS:
                 self._by_name(one.hint, [i])
+
+    def _heave(self) -> None:
+        """A velocity with which the depth changes, beside speed and pitch."""
+        theta, u, z = (self.series(role) for role in ("theta", "u", "z"))
+        if theta is not None and u is not None and z is not None:
+            summed, heaved = self.fields.summed, np.cos(theta)
+            self._explain(
+                "w", self.fields.detrended(z), summed(-u * np.sin(theta)),
+                lambda w: summed(w * heaved), "the depth changes with it",
+            )  # fmt: skip
 
     def _euler(self, angle: str) -> None:
         """A rate that is one of an angle with the other angles and rates taken into account."""

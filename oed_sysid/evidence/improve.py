@@ -248,9 +248,6 @@ def _result(
         )
         for one, fit, own in zip(state.added, fits[1:], rms, strict=True)
     )
-    judged = fits[-1]
-    if end.left.fit is not None:
-        judged = study.result(study.polished(end.left.fit), "improve, what remains")
     if log is not None:
         log = with_estimates(log, fits[-1], state.effects, study.base.values, logs)
     return Improvement(
@@ -259,7 +256,7 @@ def _result(
         steps=steps,
         ranking=end.first,
         location=location,
-        remains=_whole(end.left, judged, study.validation, log),
+        remains=_whole(end, fits[-1], log),
         yardstick=yardstick,
         proposed=_proposed(end, steps),
         notes=tuple(notes),
@@ -276,10 +273,13 @@ def _proposed(end: Ended, steps: Sequence[Step]) -> tuple[dict[str, Any], ...]:
     return (proposed_term(end.proposals, steps[-1], end.state.replaced),)
 
 
-def _whole(left: Remains, fit: Fit, validation: Dataset | None, log: LogCheck | None) -> Remains:
+def _whole(end: Ended, fit: Fit, log: LogCheck | None) -> Remains:
     """What is left, with what whole runs of the last fit and the check of the log say."""
+    study, validation = end.state.study, end.state.study.validation
+    if end.left.fit is not None:
+        fit = study.result(study.polished(end.left.fit), "improve, what remains")
     return replace(
-        left,
+        end.left,
         training=fit.whole_runs,
         validation=None if validation is None else fit.runs_on(validation),
         suspect=log.verdict if log is not None and log.suspect else "",

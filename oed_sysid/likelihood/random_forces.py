@@ -648,12 +648,16 @@ def with_sea(
         return found
     seas = (known.filled(_calm(places, period)) for period in tried)
     ends = [_at_sea(found, setting, sea, known, begin or (found,)) for sea in seas]
-    best = min(ends, key=lambda one: one.restricted).finite
-    if best is None:
+    return _admitted(min(ends, key=lambda one: one.restricted), found, setting)
+
+
+def _admitted(sea: FilteredSolution, found: FilteredSolution, setting: Setting) -> FilteredSolution:
+    """A declared sea, or one that is clearly likelier with what joins it; else what was found."""
+    if sea.finite is None:
         return found
     if setting.seas:
-        return best
-    return _with_forces(best, setting) if _clearly_a_sea(best, found, setting) else found
+        return sea
+    return _with_forces(sea, setting) if _clearly_a_sea(sea, found, setting) else found
 
 
 def _with_forces(found: FilteredSolution, setting: Setting) -> FilteredSolution:
@@ -698,15 +702,15 @@ def _likely_periods(
         steps = int(np.ceil(STEPS_OF_PERIOD * sample / period - 1e-6))
         return scored(max(steps, 1)).gain(wide, names)[0]
 
-    shown = _in_spectrum(found, [_calm(places, one) for one in tried])
-    asked = shown | bool(setting.seas)
-    gains = np.array([gain(one) if ask else 0.0 for one, ask in zip(tried, asked, strict=True)])
+    asked = _in_spectrum(found, [_calm(places, one) for one in tried]) | bool(setting.seas)
+    gains = np.zeros(len(tried))
+    gains[asked] = [gain(one) for one in compress(tried, asked)]
     beside = np.pad(gains, 1)
     peaks = (gains > beside[:-2]) & (gains >= beside[2:])
-    shows = gains >= threshold(len(places), len(tried))
-    if setting.seas and not (peaks & shows).any():
+    peaks &= gains >= threshold(len(places), len(tried))
+    if setting.seas and not peaks.any():
         return [tried[int(np.argmax(gains))]]
-    return list(compress(tried, peaks & shows))
+    return list(compress(tried, peaks))
 
 
 def _in_spectrum(found: FilteredSolution, calm: Sequence[Sea]) -> np.ndarray:
