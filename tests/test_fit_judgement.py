@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import steered_ship
 import turning_ship
 from altered import part
 from scipy.stats import false_discovery_control, norm
+from steered_ship import nothing
 from turning_ship import SHIP
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model
 
@@ -29,9 +31,11 @@ from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood import multiple_shooting
 from oed_sysid.likelihood.departures import estimate_departures
+from oed_sysid.likelihood.estimate import Departure
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import nowhere
 from oed_sysid.likelihood.judgement import CHECKS, FATAL, Concern, judge, unexplained
+from oed_sysid.likelihood.laws import asked_beside
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import (
     FALSE_SHARE,
@@ -301,6 +305,23 @@ def test_a_late_input_is_measured() -> None:
     found = [c for c in fit.concerns if c.kind == "delay"]
     assert [c.signal for c in found] == ["delta"]
     assert found[0].size == pytest.approx(0.5, rel=0.2)
+
+
+@pytest.mark.parametrize(("late", "said"), [(0.0, []), (0.4, ["delta"])])
+def test_a_delay_has_to_show_beside_the_sea_that_was_found(late: float, said: list[str]) -> None:
+    """A delay before process noise is told where innovations show it: of a log that is late."""
+    records = []
+    for one in (steered_ship.sailed(s, 2.0, nothing, shape="velocity", level=0.1) for s in (0, 1)):
+        logged = np.interp(one.times + late, one.times, one.inputs[:, 0])
+        records.append(replace(one, inputs=logged[:, None]))
+    fit = MultipleShooting().fit(steered_ship.YAW, Dataset(tuple(records)))
+    assert len(fit.noise.seas) == 1
+    before = Departure("delta", "acts late", 0.4, 0.08, 25.0, 1.0)
+    beside = asked_beside(fit, before)
+    assert abs(beside.size - late) < 3.0 * beside.std
+    assert beside.std < 0.1
+    told = replace(fit, process_noise=replace(fit.process_noise, departure=before))
+    assert [one.signal for one in told.concerns if one.kind == "delay"] == said
 
 
 def test_colour_counts_independent_samples() -> None:

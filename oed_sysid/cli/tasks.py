@@ -268,7 +268,9 @@ def fit(study: Study, show: Shown) -> Outcome:
     log = oed_sysid.quick_check(train, study.problem)
     study, left_out = _as_measured(study, log)
     result = fits_of(study, {"": model}, show)[""]
-    log = with_estimates(log, result)
+    before, log = log, with_estimates(log, result)
+    told = (one.says for one in log.findings if one not in before.findings and not one.suspect)
+    above = _above(log, "\n".join(filter(None, (left_out, *told))))
     result = advised(result, log)
     facts = {**result.to_dict(), "log": log.to_dict()}
     text, comparison, figure = result.report(), None, Figure("figure_fit", result, "")
@@ -280,7 +282,7 @@ def fit(study: Study, show: Shown) -> Outcome:
         figure = predicted([comparison.best])
     return Outcome(
         result, result.document(comparison), facts, partial(result.document, comparison, log=log),
-        figure, text, _above(log, left_out), fits={NOMINAL: result}, comparison=comparison,
+        figure, text, above, fits={NOMINAL: result}, comparison=comparison,
         status=_status([result], suspect=log.suspect),
     )  # fmt: skip
 

@@ -79,7 +79,7 @@ from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate, on
 from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
 from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.integration import BIAS, half_step_change, step_change
-from oed_sysid.likelihood.laws import laws_of, loss_without, posed_again
+from oed_sysid.likelihood.laws import asked_beside, laws_of, loss_without, posed_again
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
     RARE,
@@ -477,10 +477,14 @@ def _departure(kinds: Sequence[str], fit: Estimate) -> Iterator[Found]:
 @once_a_fit
 def _sought(fit: Estimate) -> Departure | None:
     """What explains most of a fit's departures: each kind of concern asks for the same."""
-    # Disturbance forces absorb a departure: then what was found before them counts.
-    if fit.process_noise is not None and fit.process_noise.departure is not None:
-        return fit.process_noise.departure
-    return clear_departure(fit) if _own_residuals(fit) else None
+    before = None if fit.process_noise is None else fit.process_noise.departure
+    if before is None:
+        return clear_departure(fit) if _own_residuals(fit) else None
+    # Disturbance forces absorb a departure, so that its size is that before them; and what an
+    # autopilot does about them is none, so that it has to show beside them as well.
+    beside = before if fit.innovations is None else asked_beside(fit, before)
+    shows = beside.size * np.sign(before.size) > TWO_SIDED_95 * beside.std
+    return before if shows else None
 
 
 def _facts_of(one: Departure, fit: Estimate) -> dict[str, Any]:

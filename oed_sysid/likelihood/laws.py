@@ -41,11 +41,12 @@ import numpy as np
 from scipy.special import chdtri
 
 from oed_sysid.compiled.filtering import FilterPass, filter_kernel
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.errors import SimulationError
 from oed_sysid.likelihood.disturbances import DISTURBANCE, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
-from oed_sysid.likelihood.estimate import Estimate, once_a_fit
+from oed_sysid.likelihood.estimate import Departure, Estimate, once_a_fit
 from oed_sysid.likelihood.filtered import Filtered, disturbed_model
 from oed_sysid.likelihood.gauss_newton import solve_filtered
 from oed_sysid.likelihood.noise_levels import RARE, first_order
@@ -144,6 +145,75 @@ def posed_again(
     kernel = filter_kernel(disturbed_model(fit.model, tuple(names)))
     problem = Filtered(fit.model, fit.dataset, unknown, kernel=kernel, known_starts=known_starts)
     return problem, problem.point(fit.initial_states, fit.local_values).unknowns
+
+
+def asked_beside(fit: Estimate, found: Departure) -> Departure:
+    r"""A departure that the fit to white noise shows, asked beside the process noise of a fit.
+
+    The score is that of a law, :math:`G` the derivatives of whitened innovations by the departure:
+    what an autopilot does about waves comes late in the residuals of whole runs, and in no
+    innovation.
+
+    Parameters
+    ----------
+    fit : Estimate
+        With process noise.
+    found : Departure
+        Of one of its signals.
+
+    Returns
+    -------
+    Departure
+        With the size, the error and the statistic that it has there.
+    """
+    problem, unknowns = posed_again(fit)
+    parts = problem.passes(unknowns, levels=False, rows=True)
+    spoilt, unit = _spoilt(fit, found, parts)
+    moved = posed_again(replace(fit, dataset=spoilt))[0].passes(unknowns, columns=False)
+    equations = problem.limits.with_priors(*problem.gathered(unknowns, parts), unknowns)
+    cross, own, slope, squares, count = np.zeros(len(unknowns)), 0.0, 0.0, 0.0, 0
+    for index, (part, other) in enumerate(zip(parts, moved, strict=True)):
+        seen = np.isfinite(part.innovations)
+        std = np.sqrt(part.variances[seen])
+        white = part.innovations[seen] / std
+        column = (other.innovations[seen] / std - white) / unit
+        assert part.rows is not None
+        rows = part.rows[seen]
+        where, units = (some[: rows.shape[1]] for some in problem.columns_of(unknowns, index))
+        cross[where] += units * (rows.T @ column)
+        own, slope = own + float(column @ column), slope - float(column @ white)
+        squares, count = squares + float(white @ white), count + len(white)
+    open_ = problem.open_unknowns(0)
+    share = cross[open_] @ inverse_of(equations[0][np.ix_(open_, open_)])
+    information = max(own - float(share @ cross[open_]), ABSORBED * own)
+    score = slope - float(share @ equations[1][open_])
+    size, scatter = score / information, max(squares / max(count, 1), 1.0)
+    return replace(found, size=size, std=float(np.sqrt(scatter / information)), gain=size * score)
+
+
+def _spoilt(fit: Estimate, found: Departure, parts: Sequence[FilterPass]) -> tuple[Dataset, float]:
+    """Records with some more of a departure undone, and how much that is."""
+    records, unit = [], 1.0
+    if found.kind == "acts late":
+        column = fit.model.input_names.index(found.signal)
+        # Commands are steps: less than a sample would move nothing.
+        unit = min(record.sample_time for record in fit.dataset)
+        for record in fit.dataset:
+            inputs = record.inputs.copy()
+            inputs[:, column] = np.interp(record.times - unit, record.times, inputs[:, column])
+            records.append(replace(record, inputs=inputs))
+        return Dataset(tuple(records)), unit
+    column = fit.model.output_names.index(found.signal)
+    for record, part in zip(fit.dataset, parts, strict=True):
+        outputs = record.outputs.copy()
+        seen = np.isfinite(outputs[:, column]) & (not record.independent)
+        expected = (outputs - part.innovations)[seen, column]
+        if found.kind == "late" and seen.sum() > 1:
+            outputs[seen, column] += np.gradient(expected, record.times[seen])
+        elif found.kind != "late":
+            outputs[seen, column] -= expected if found.kind == "scale" else 1.0
+        records.append(record.with_outputs(outputs))
+    return Dataset(tuple(records)), unit
 
 
 def loss_without(fit: Estimate, place: str) -> float:
