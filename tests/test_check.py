@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import patrol_boat
 import pytest
 from altered import altered, overwritten, part, trials
 from kinematic_logs import (
@@ -34,6 +35,7 @@ from yaw_vehicle import yaw_data, yaw_model
 
 from benchmarks.spoilt_logs import COPIES as SPOILS
 from benchmarks.spoilt_logs import named_as, spoil
+from oed_sysid.cli import main
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.evidence import inputs
 from oed_sysid.evidence.check import (
@@ -209,6 +211,24 @@ def test_bias_of_pitch_and_misalignment_are_one_group() -> None:
     assert "bias" in text
     assert "theta" in text
     assert "misalignment" in text
+
+
+@pytest.mark.parametrize("angle", [90.0, *slow(45.0, 180.0)])
+def test_turned_velocities_and_a_heading_that_is_off_are_one_group(angle: float) -> None:
+    """A log that is mounted wrong by any angle blames the heading, and the velocities as well."""
+    cos, sin = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
+    data = altered(
+        pair(SHIP),
+        u=lambda record: cos * record.output("u") + sin * record.output("v"),
+        v=lambda record: cos * record.output("v") - sin * record.output("u"),
+    )
+    found = check(data, SHIP.model, inputs=False)
+    assert len(found.serious) == 1
+    told = (found.serious[0].name, *found.serious[0].alternatives)
+    assert any("psi" in one for one in told)
+    (turned,) = (one for one in told if "u and v" in one)
+    size = 180.0 if "180 deg" in turned else float(turned.split("(")[1].split()[0])
+    assert abs(size) == pytest.approx(angle, abs=0.5)
 
 
 def test_sensor_effect_of_the_model_is_no_alarm() -> None:
@@ -432,6 +452,26 @@ def test_noise_laws_are_those_of_the_transform() -> None:
     ):
         power = np.mean(dct(noise, axis=1, norm="ortho")[:, 1:] ** 2, axis=0)
         assert np.all(np.abs(power / law[row] - 1.0) < near)
+
+
+@pytest.mark.parametrize("period", [6.0, 9.0])
+def test_noise_of_a_sea_is_recovered_about_its_period(period: float) -> None:
+    """Integrated forces of a band have their variance in it, and make none far below it."""
+    rng, n, rate = np.random.default_rng(0), 240, 2.0 * np.pi / period
+    pole = np.exp((-0.175 + 1j) * rate)
+    resonance = [1.0, -2.0 * pole.real, abs(pole) ** 2]
+    forces = lfilter([1.0, -1.0], resonance, rng.standard_normal((300, 2 * n)), axis=1)[:, n:]
+    power = dct(np.cumsum(forces, axis=1), axis=1, norm="ortho")[:, 1:] ** 2
+    law = laws(np.pi * np.arange(1, n) / n, forced=True)
+    found = [
+        fitted_law(some.ravel(), np.tile(law, 3), np.zeros(len(law))) @ law
+        for some in np.split(power[:60], 20)
+    ]
+    ratio = np.mean(found, axis=0) / power.mean(axis=0)
+    peak = round(2.0 * n / period)
+    for place in (5, peak // 2, 3 * peak // 2, 2 * peak):
+        assert np.mean(ratio[place - 3 : place + 2]) == pytest.approx(1.0, abs=0.2)
+    assert 0.4 < np.mean(ratio[peak - 3 : peak + 2]) < 1.2
 
 
 DATA = Path(os.environ.get("OED_SYSID_DATA", "nowhere"))
@@ -724,6 +764,42 @@ def test_a_parameter_that_is_another_one_in_one_run_is_named(dives_inputs) -> No
     assert (one.kind, one.signals, one.records) == ("run", ("zgW",), (data[2].name,))
     assert not one.suspect
     assert one.size == pytest.approx(0.08, abs=0.02)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_an_offset_of_an_input_is_told_and_is_no_delay(seed: int) -> None:
+    """A rudder whose zero is off by 0.05 rad where the speed changes; a right one says nothing."""
+    assert check(patrol_boat.sailings(seed), patrol_boat.BOAT).findings == ()
+    logged = patrol_boat.sailings(seed, lambda _, angle: angle + 0.05)
+    (one,) = check(logged, patrol_boat.BOAT).findings
+    assert (one.kind, one.signals, one.suspect) == ("bias", ("rudder",), False)
+    assert one.size == pytest.approx(0.05, abs=0.0025)
+
+
+@pytest.mark.parametrize("seed", [5, 7])
+def test_an_input_that_is_stuck_is_told_from_a_late_one(seed: int) -> None:
+    """A rudder angle that stands still from the middle on, while the boat goes on turning."""
+
+    def stuck(_: np.ndarray, angle: np.ndarray) -> np.ndarray:
+        return np.where(np.arange(angle.size) < angle.size // 2, angle, angle[angle.size // 2])
+
+    found = check(patrol_boat.sailings(seed, stuck), patrol_boat.BOAT)
+    assert {(one.kind, one.signals) for one in found.findings} == {("frozen", ("rudder",))}
+    assert {one.records for one in found.findings} == {(name,) for name in found.records}
+
+
+def test_a_fit_says_which_run_has_another_parameter(dives_inputs, tmp_path, capsys) -> None:  # type: ignore[no-untyped-def]
+    """What is no fault of the log, and no reason not to fit, is said above the estimates."""
+    problem, data = dives_inputs
+    heavier = problem.model.with_values({"zgW": 1.3 * problem.model.values["zgW"]})
+    run = problem.experiments[data[2].name]
+    other = simulate(heavier, run, rng=np.random.default_rng(4), name=data[2].name)
+    paths = [str(tmp_path / f"{record.name}.csv") for record in data]
+    for record, path in zip((*data[:2], other, *data[3:]), paths, strict=True):
+        write_csv(record, path)
+    assert main(["fit", "remus_diving_plane", *paths]) == 0
+    said = capsys.readouterr().out
+    assert f"in {data[2].name} from the other runs" in said
 
 
 def test_values_far_from_their_priors_make_a_log_suspect(dives_inputs) -> None:  # type: ignore[no-untyped-def]

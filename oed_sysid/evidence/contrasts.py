@@ -21,11 +21,15 @@ around a free constant exactly diagonal, with variances :math:`1` and :math:`1/\
 :math:`a_\rho(k) = (1-\rho)^2 / (1 - 2\rho\cos(\pi k/n) + \rho^2)` the variance of coefficient
 :math:`k` is
 
-.. math:: S_k = \sum_\rho v_\rho\, a_\rho(k) + \sum_\rho w_\rho\, a_\rho(k) / \lambda_k,
-    \qquad v, w \ge 0,
+.. math:: S_k = \sum_\rho v_\rho\, a_\rho(k)
+    + \Bigl(\sum_\rho w_\rho\, a_\rho(k) + \sum_j s_j\, b_j(k)\Bigr) / \lambda_k,
+    \qquad v, w, s \ge 0,
 
 of largest likelihood (Whittle 1953), all candidates of every record in the regression, so that no
-fault passes as noise; :math:`w_0` is not taken below what the fast noise of the rates makes.
+fault passes as noise; with :math:`x = \lambda_k / \lambda_j`,
+:math:`b_j = h^2 x / ((1 - x)^2 + h^2 x)` are forces in a band of half an octave, as a sea's are, of
+equations in which forces are noise; :math:`w_0` is not taken below what the fast noise of the rates
+makes.
 Sensors and motion share the low frequencies of it: strongly autocorrelated noise widens all
 intervals instead of making biases.
 
@@ -63,6 +67,9 @@ PLACED = np.arange(1, PLACES) / PLACES
 VARYING = 1.5
 # Correlations of block means among which noise is composed.
 CORRELATIONS = (0.0, 0.5, 0.8, 0.95)
+# Width of a band of forces over its frequency, half an octave, and how many of them are tried: from
+# periods of four blocks to those of which a long record holds twenty.
+BAND, BANDS = 0.5 * math.log(2.0), 4
 # A size beyond this many usual ones is none that such faults have.
 LARGEST = 4.0
 # What an equation may leave: of the changes of its left side, and of what noise makes (power); so
@@ -125,6 +132,11 @@ class Candidate:
     def placed(self) -> bool:
         """Whether it begins within a record."""
         return self.span[0] > 0.0
+
+    @property
+    def largest(self) -> float:
+        """Size beyond which none is so by chance; what is mounted wrong may be so by any angle."""
+        return math.inf if self.kind == "misalignment" else LARGEST * self.plausible
 
     def correction(self, size: float) -> Correction:
         """How to undo a size of it."""
@@ -361,7 +373,7 @@ class Piece:
     ``(n, n_used)`` of the candidates ``used``, those in the record before those at its places; a
     block has ``group`` samples and length ``span`` in s; ``walk`` is the variance per block that
     the fast noise of the rates produces, ``level`` the deviation of the left side's, ``shares`` the
-    part of each signal in ``walk``.
+    part of each signal in ``walk``; ``forced`` where forces are noise of the equation.
     """
 
     relation: int
@@ -376,6 +388,7 @@ class Piece:
     walk: float
     level: float
     shares: Mapping[str, float]
+    forced: bool
 
     @property
     def angle(self) -> np.ndarray:
@@ -546,6 +559,7 @@ def _pieces(
             walk=factor**2 * total * (span if rated else 0.0),
             level=factor * trace.noise[relation.target] / np.sqrt(group),
             shares={**shares, relation.target: -1.0},
+            forced=bool(relation.driven),
         )
 
 
@@ -558,11 +572,18 @@ def _spacing(trace: Trace, name: str) -> float:
 # -- noise -----------------------------------------------------------------------------------
 
 
-def laws(angle: np.ndarray) -> np.ndarray:
-    """Variances of unit noise of each kind at some frequencies, ``(2 n_correlations, n)``."""
+def laws(angle: np.ndarray, *, forced: bool = False) -> np.ndarray:
+    """Variances of unit noise of each kind at some frequencies, ``(n_kinds, n)``.
+
+    Forces in bands are noise where an equation is ``forced``; from others all motion falls out.
+    """
     cosine = np.cos(angle)
     still = [(1.0 - r) ** 2 / (1.0 - 2.0 * r * cosine + r * r) for r in CORRELATIONS]
-    return np.array([*still, *(one / (2.0 - 2.0 * cosine) for one in still)])
+    power = 2.0 - 2.0 * cosine
+    centres = 0.5 * np.pi * np.exp(-BAND * np.arange(BANDS))
+    x = power / (2.0 - 2.0 * np.cos(centres))[:, None]
+    seas = BAND**2 * x / ((1.0 - x) ** 2 + BAND**2 * x)
+    return np.array([*still, *(one / power for one in (*still, *(seas if forced else ())))])
 
 
 def fitted_law(
@@ -715,7 +736,7 @@ def _joint_law(mine: Sequence[Piece]) -> np.ndarray:
 
     Means over fewer samples hold more of the white noise, longer blocks more of the integrated.
     """
-    law = np.concatenate([laws(p.angle) for p in mine], axis=1)
+    law = np.concatenate([laws(p.angle, forced=p.forced) for p in mine], axis=1)
     sizes = [p.residual.size for p in mine]
     fewer, longer = np.array([(1.0 / p.group, p.span) for p in mine]).T
     law[0] *= np.repeat(fewer / fewer.mean(), sizes)
@@ -769,7 +790,10 @@ class System:
         result = []
         for i, k in enumerate(chosen):
             gain, other, error = self.beside([j for j in chosen if j != k])
-            near = self.able(chosen, other, error) & (gain > own[i] - CLOSE)
+            # What cannot be told by these records is a rival, however seldom it is so large.
+            usual = self.of("plausible")
+            short = own[i] + (size[i] / usual[k]) ** 2 - gain - (other / usual) ** 2
+            near = self.able(chosen, other, error, self.of("largest")) & (short < CLOSE)
             told: dict[tuple[object, ...], Found] = {}
             for j in sorted(np.flatnonzero(near).tolist(), key=lambda j: -gain[j]):
                 f = self.faults[j]
@@ -805,7 +829,7 @@ class System:
     @cached_property
     def _numbers(self) -> dict[str, np.ndarray]:
         """Numbers of all candidates, ``(n,)`` each."""
-        names = ("plausible", "material", "rare", "positive")
+        names = ("plausible", "largest", "material", "rare", "positive")
         return {name: np.array([getattr(one, name) for one in self.faults]) for name in names}
 
     def _inverse(self, chosen: Sequence[int]) -> np.ndarray:
@@ -823,11 +847,18 @@ class System:
         left = np.where(told, left + self.of("plausible") ** -2.0, np.inf)
         return score**2 / left, score / left, left**-0.5
 
-    def able(self, chosen: Sequence[int], size: np.ndarray, std: np.ndarray) -> np.ndarray:
+    def able(
+        self,
+        chosen: Sequence[int],
+        size: np.ndarray,
+        std: np.ndarray,
+        most: np.ndarray | None = None,
+    ) -> np.ndarray:
         """Which candidates are of a size that matters and that such faults have."""
         least = self.of("material") + 1.5 * std**2 * self.doubt
         own = self._own(size)
-        result = (own >= least) & (own <= LARGEST * self.of("plausible"))
+        most = LARGEST * self.of("plausible") if most is None else most
+        result = (own >= least) & (own <= most)
         result[list(chosen)] = False
         return result
 
@@ -1083,13 +1114,14 @@ def _axes(
         for angle, quarter in product(sorted(n for n in shared if units[n] == "rad"), (1, 2, 3)):
             turn = Candidate("offset", (angle,), meaning=f"{90 * quarter} deg")
             yield Found(turn, quarter * math.pi / 2.0)
+    yield from turned_axes(velocities, units)
 
 
 def turned_axes(names: Iterable[str], units: Mapping[str, str]) -> Iterator[Found]:
     """Pairs of signals of one kind whose axes are turned by quarters of a turn in their plane."""
     for pair, quarter in product(combinations(names, 2), (1, 2, 3)):
         if units[pair[0]] == units[pair[1]] in ("m", "m/s", "rad/s"):
-            turn = Candidate("misalignment", pair, meaning=f"{90 * quarter} deg")
+            turn = Candidate("misalignment", pair, meaning=f"{90 * quarter} deg", rare=RARER)
             yield Found(turn, quarter * math.pi / 2.0)
 
 

@@ -9,9 +9,9 @@ with the nominal forces as the mean of the free ones. Inputs are signals of it, 
 parameters: constants whose errors are as large as their declared priors, a quarter at least. These
 errors and a constant force in each record are in every regression, so that an input is at fault
 only by what they leave; physics that the model lacks is autocorrelated noise of the contrast and
-widens all intervals alike. Asked are the sign, unit, column, scale and delay of every input that
-moves. Without a declared prior none of this can be told, because an input of the other sign is a
-coefficient of the other sign.
+widens all intervals alike, a sea those of what acts in its band. Asked are the sign, unit, column,
+offset, scale and delay of every input that moves. Without a declared prior none of this can be
+told, because an input of the other sign is a coefficient of the other sign.
 
 Between runs the fit itself is asked (:func:`between_runs`), without errors in the regressors: with
 information :math:`H_i` and score :math:`g_i` of record *i* about the shared parameters at the
@@ -41,6 +41,7 @@ from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.contrasts import (
+    LARGEST,
     MOST_BLOCKS,
     RARER,
     UNEXPLAINED,
@@ -60,6 +61,7 @@ from oed_sysid.evidence.traces import RELATIVE, Trace, fast_noise
 from oed_sysid.evidence.words import Log, judged_row, said
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.noise_levels import Runs
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_columns, measured_states
 from oed_sysid.physics.channels import Input, State
 from oed_sysid.physics.model import Model
@@ -69,7 +71,7 @@ from oed_sysid.text.expressions import names as names_in
 # A declared prior is not trusted beyond this share of its mean: nominal physics lacks as much.
 LEAST_PRIOR = 0.25
 # What is asked of an input.
-ASKED = ("sign", "unit", "scale", "delay", "lost")
+ASKED = ("sign", "unit", "bias", "scale", "delay", "lost")
 
 
 @dataclass(frozen=True)
@@ -152,13 +154,16 @@ def input_findings(
         return beyond, rows, f"Signs and units of inputs: {traces}."
     # A state that follows from others is smoothed over samples, and moves before what moves it.
     derived = [one.name for k, one in enumerate(model.states) if k not in measured_columns(model)]
+    unlogged, traces = _unlogged(traces, _nominal(model), model)
     question = _question(traces, model, timed=not derived)
     found, ended = diagnosed(traces, question)
     log = Log(dataset.channels, (), dataset.names, {t.name: t.ends for t in traces})
     # Forces that set in are what the vehicle met: rivals of a fault, and none themselves.
     sized = filter(lambda one: one.candidate.kind != "drift", ended.found)
     findings = [*map(log.reading, found), *map(log.sized, sized)]
-    findings += _unlogged(traces, question, model)
+    # What is read in another unit or sign moves otherwise than the vehicle, wherever it stands.
+    read = set().union(*(one.candidate.signals for one in found))
+    findings += (one for one in unlogged if read.isdisjoint(one.signals))
     # What the motion says of an input holds what its range says.
     named = set().union(*(one.signals for one in findings))
     findings += [one for one in beyond if named.isdisjoint(one.signals)]
@@ -175,30 +180,70 @@ def input_findings(
     )
 
 
-def _unlogged(traces: Sequence[Trace], question: Question, model: Model) -> Iterator[Finding]:
-    r"""Inputs that never move in the log, although the vehicle moves as if they did.
+def _still(traces: Sequence[Trace], model: Model) -> Iterator[tuple[str, list[Trace], slice]]:
+    """Inputs that never move; of those that do the longest run of equal values of each record."""
+    for name in model.input_names:
+        if not _moves(traces, name):
+            yield name, [*traces], slice(None)
+            continue
+        for trace in traces:
+            runs = Runs.of(trace.values[name])
+            longest = int(np.argmax(runs.length))
+            first = int(runs.first[longest])
+            yield name, [trace], slice(first, first + int(runs.length[longest]))
+
+
+def _unlogged(
+    traces: Sequence[Trace], equations: tuple[Relation, ...], model: Model
+) -> tuple[list[Finding], list[Trace]]:
+    r"""Inputs that stand still in the log, although the vehicle moves as if they did not.
 
     With :math:`d_i` the changes over about a second of what the nominal model leaves of equation
-    *i*, and :math:`g_i` those of the contrast of a unit of the input, both over the root mean
-    square of :math:`d_i`, a free input is
+    *i* beside a constant error of the input, and :math:`g_i` those of the contrast of a unit of it,
+    both over the root mean square of :math:`d_i`, a free input is
     :math:`\hat\delta = \sum_i g_i d_i / \sum_i g_i^2`. It is what was not logged where the model
     leaves more than a third of the changes of a state, and this input less than a third of that,
     in two equations at least: forces from outside seldom act in the ratio of its coefficients.
+
+    Returns
+    -------
+    findings : list of Finding
+    traces : list of Trace
+        Without the samples of an input that moves elsewhere.
     """
-    for name in (n for n in model.input_names if not _moves(traces, n)):
-        changes = [one for trace in traces for one in _changes_by(trace, name, question.relations)]
-        share = _left_by(*np.concatenate(changes, axis=2)) if changes else 1.0
-        if share < UNEXPLAINED:
-            words = {"share": f"{100.0 * (1.0 - share**2):.0f}"}
-            records = tuple(t.name for t in traces)
-            yield said("dead", (name,), records, words, row="input dead")
+    findings, left = list[Finding](), {trace.name: trace for trace in traces}
+    for name, where, rows in _still(traces, model):
+        cut = [t.during(rows) for t in where]
+        changes = [one for t in cut for one in _changes_by(t, name, equations)]
+        moves = max(float(np.nanmax(np.abs(t.values[name]))) for t in traces)
+        most = LARGEST * moves if _moves(traces, name) else np.inf
+        share = _left_by(np.concatenate(changes, axis=2), most) if changes else 1.0
+        if share >= UNEXPLAINED:
+            continue
+        kind, records = "dead" if rows == slice(None) else "frozen", tuple(t.name for t in where)
+        begin, end = cut[0].ends
+        words = {
+            "share": f"{100.0 * (1.0 - share**2):.0f}", "record": records[0], "at": begin,
+            "size": end - begin,
+        }  # fmt: skip
+        findings.append(said(kind, (name,), records, words, row=f"input {kind}"))
+        if kind == "frozen":
+            series = left[records[0]].values[name].copy()
+            series[rows] = np.nan
+            values = left[records[0]].values | {name: series}
+            left[records[0]] = replace(left[records[0]], values=values)
+    return findings, [*left.values()]
 
 
-def _left_by(left: np.ndarray, column: np.ndarray, side: np.ndarray) -> float:
+def _left_by(changes: np.ndarray, most: float) -> float:
     """Share of misfits that a free input leaves, 1 where it could not be told from a force.
 
-    All are ``(n_equations, n)``: misfits, what a unit of the input makes, and left sides.
+    Changes are ``(3, n_equations, n)``: misfits, what a unit of the input makes, and left sides.
+    A constant error of the input is none, and one whose root mean square would have to be larger
+    than ``most`` leaves all.
     """
+    left, column, side = changes
+    left = left - column * (np.sum(column * left) / max(float(np.sum(column**2)), 1e-300))
     misfit, moved = (np.sqrt(np.mean(one**2, axis=1)) for one in (left, side))
     d, g = left / misfit[:, None], column / misfit[:, None]
     reach = np.sqrt(np.mean(g**2, axis=1))
@@ -207,7 +252,8 @@ def _left_by(left: np.ndarray, column: np.ndarray, side: np.ndarray) -> float:
         return 1.0
     d, g = d[enters], g[enters]
     free = np.sum(g * d, axis=0) / np.sum(g**2, axis=0)
-    return float(np.sqrt(np.mean((d - g * free) ** 2)))
+    left_over = float(np.sqrt(np.mean((d - g * free) ** 2)))
+    return left_over if np.mean(free**2) < most**2 else 1.0
 
 
 def _changes_by(trace: Trace, name: str, equations: tuple[Relation, ...]) -> Iterator[np.ndarray]:
@@ -316,6 +362,8 @@ def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question
     late = max(0.7, 3.0 * traces[0].step)
     common, local, single = list[Candidate](), list[Candidate](), list[Candidate]()
     for name in moving:
+        size = max(float(np.nanmax(np.abs(t.values[name]))) for t in traces)
+        common.append(Candidate("bias", (name,), moving[name], 0.3 * size, RELATIVE * size))
         lost = Candidate("lost", (name,), "1", 1.0, 0.5, rare=RARER)
         common.append(replace(lost, material=RELATIVE, rare=0.0))
         if timed:
@@ -348,7 +396,8 @@ def _nominal(model: Model) -> tuple[Nominal, ...]:
 
 def _moves(traces: Sequence[Trace], name: str) -> bool:
     """Whether an input changes within a record."""
-    return any(np.ptp(t.values[name]) > 0.0 for t in traces)
+    series = (t.values[name][np.isfinite(t.values[name])] for t in traces)
+    return any(one.size > 0 and np.ptp(one) > 0.0 for one in series)
 
 
 def _given(

@@ -101,9 +101,9 @@ class Evidence:
         return float(np.sum(after - self.told[asked]))
 
     def ranked(self, readings: Iterable[Found]) -> list[Found]:
-        """Readings with what each gains, the most first."""
+        """Readings with what each gains, the likeliest first."""
         told = (replace(one, gain=self.gained([one.correction])) for one in readings)
-        return sorted(told, key=lambda one: -one.gain)
+        return sorted(told, key=lambda one: one.candidate.rare - one.gain)
 
     def _told(self, traces: Sequence[Trace], asked: tuple[Relation, ...]) -> np.ndarray:
         given, result = self.question.given, np.zeros(len(asked))

@@ -98,6 +98,11 @@ class Trace:
                 noise[name] = fast_noise(values[name])
         return replace(self, values=values, noise=noise)
 
+    def during(self, rows: slice) -> Trace:
+        """Return some consecutive samples of the trace."""
+        values = {name: series[rows] for name, series in self.values.items()}
+        return replace(self, times=self.times[rows], values=values, pushed=self.pushed[rows])
+
     def thinned(self, most: int) -> Trace:
         """Return means over groups of samples so that at most ``most`` are left."""
         group = -(-self.times.size // most)

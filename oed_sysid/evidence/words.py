@@ -74,14 +74,19 @@ def _of(signals: Sequence[str]) -> dict[str, str]:
 
 def rival(one: Found) -> str:
     """Another explanation in a few words."""
-    fault, row = one.candidate, one.candidate.kind
-    if fault.meaning:
-        row = "twice" if "twice" in fault.meaning else {"misalignment": "turned"}.get(row, row)
+    fault, row = one.candidate, _row_of_reading(one.candidate)
     text = KINDS.get(row, {}).get("rival", f"{row} of {{both}}")
     words = {"meaning": fault.meaning, "rate": "".join(fault.other)}
     where = f" in {fault.record}" if fault.record else ""
     shown = _size(one.size, fault.unit, ".2g" if fault.unit == "1" else ".3g")
     return f"{text.format(**_of(fault.signals), **words)}{where}" + f" ({shown})" * bool(one.std)
+
+
+def _row_of_reading(fault: Candidate) -> str:
+    """Row of the table that tells of another reading of the same numbers; else of the kind."""
+    if "twice" in fault.meaning:
+        return "twice"
+    return "turned" if fault.kind == "misalignment" and fault.meaning else fault.kind
 
 
 def _size(size: float, unit: str, form: str) -> str:
@@ -173,7 +178,7 @@ class Log:
             "frames": self._frame(names),
             "units": ", ".join(f'"{name}": "{meaning}"' for name in names),
         }  # fmt: skip
-        row, others = "twice" if twice else fix.kind, tuple(map(rival, one.rivals))
+        row, others = _row_of_reading(one.candidate), tuple(map(rival, one.rivals))
         if names[0] in self.channels.input_names:
             row, others = f"input {row}", (*others, NOMINAL)
         return said(
