@@ -161,9 +161,7 @@ def input_findings(
     # Forces that set in are what the vehicle met: rivals of a fault, and none themselves.
     sized = filter(lambda one: one.candidate.kind != "drift", ended.found)
     findings = [*map(log.reading, found), *map(log.sized, sized)]
-    # What is read in another unit or sign moves otherwise than the vehicle, wherever it stands.
-    read = set().union(*(one.candidate.signals for one in found))
-    findings += (one for one in unlogged if read.isdisjoint(one.signals))
+    findings += _unread(unlogged, found)
     # What the motion says of an input holds what its range says.
     named = set().union(*(one.signals for one in findings))
     findings += [one for one in beyond if named.isdisjoint(one.signals)]
@@ -178,6 +176,12 @@ def input_findings(
         ],
         "",
     )
+
+
+def _unread(unlogged: Sequence[Finding], readings: Sequence[Found]) -> list[Finding]:
+    """Findings of inputs that no other reading of their numbers explains."""
+    read = set().union(*(one.candidate.signals for one in readings))
+    return [one for one in unlogged if read.isdisjoint(one.signals)]
 
 
 def _still(traces: Sequence[Trace], model: Model) -> Iterator[tuple[str, list[Trace], slice]]:
