@@ -357,8 +357,9 @@ def test_sub_models_of_a_study_are_the_models_themselves() -> None:
     assert len(study.candidates) == len(CANDIDATES)
     levels = study.levels(fit.noise, data)
     for effects in ((), study.candidates[:1], study.candidates[::-1]):
-        through = study.problem(effects, fit.values, levels, data)
-        alone = Filtered(through.model, data, levels)
+        model = study.model(effects, fit.values)
+        through = Filtered(model, data, levels, kernel=study.kernel)
+        alone = Filtered(model, data, levels)
         point = through.point(fit.initial)
         assert through.layout.free_names == alone.layout.free_names
         value = alone.objective(point.unknowns)

@@ -364,7 +364,7 @@ class _Bench:
     """
 
     def __init__(self, fit: FilteredSolution, unit: NoiseModel, pieces: int) -> None:
-        model = fit.problem.model.with_values(fit.values)
+        model = fit.model
         dataset, initial, local = _cut(fit, pieces)
         white = np.maximum(fit.noise.white, LEAST_WHITE * unit.white)
         self.unknown = np.array([output.noise_std is None for output in model.outputs])
@@ -406,7 +406,7 @@ class _Bench:
 
     def _likeliest(self, place: Place, others: np.ndarray) -> Iterate:
         """The likeliest of some decades of a level, about what its score at zero says."""
-        first = self.quiet.problem.with_levels(self._levels(place, 1.0))
+        first = self.quiet.problem.posed(self._levels(place, 1.0))
         nothing = np.concatenate([others, first.levels.vector(first.levels.noise)])
         nothing[first.layout.levels.start] = 0.0
         parts = [part for part in first.passes(nothing, levels_only=True) if part.ok]
@@ -419,7 +419,7 @@ class _Bench:
         @cache
         def at(decade: int) -> Iterate:
             level = max(size * 10.0**decade, least)
-            problem = self.quiet.problem.with_levels(self._levels(place, level))
+            problem = self.quiet.problem.posed(self._levels(place, level))
             levels = problem.levels.vector(problem.levels.noise)
             return begun(problem, np.concatenate([others, levels]))
 

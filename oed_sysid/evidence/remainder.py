@@ -284,8 +284,8 @@ def remains(study: Study, fit: FilteredSolution) -> Remains:
 def followed(fit: FilteredSolution) -> tuple[Law, ...] | None:
     """Disturbances of a fit that follow motion and commands, asked as of any fit: levels held."""
     problem = fit.problem
-    held = problem.with_levels(problem.levels.starting(fit.noise).held())
-    return laws(held, fit.point.unknowns[: problem.layout.levels.start])
+    held = problem.posed(problem.levels.starting(fit.noise).held())
+    return laws(held, held.beside(fit.point.unknowns).unknowns)
 
 
 def _forces(study: Study, fit: FilteredSolution) -> Iterator[RandomForceFound]:

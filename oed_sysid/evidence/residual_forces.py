@@ -88,14 +88,8 @@ def let_in(
     model = old.model.with_values(
         {name: value for name, value in near.values.items() if name in old.model.values}
     )
-    problem = Filtered(
-        model,
-        old.dataset,
-        replace(old.levels.held().starting(noise), disturbances=noise.disturbed().disturbances),
-        kernel=old.kernel,
-        known_starts=old.known_starts,
-        knowledge=old.knowledge,
-    )
+    held = old.levels.held().starting(noise)
+    problem = old.posed(replace(held, disturbances=noise.disturbed().disturbances), model=model)
     return problem, problem.point(fit.initial, fit.local).unknowns
 
 

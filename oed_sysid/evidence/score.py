@@ -316,17 +316,12 @@ def _secant(
     names = effect.amplitude_names
     groups = [names] if not two_sided(effect) else [(name,) for name in names]
     problem = fit.problem
-    model = problem.model + effect
+    model, levels = problem.model + effect, problem.levels.starting(fit.noise).held()
     columns = []
     for group in groups:
         typical = [_parameter(effect, name) for name in group]
         sizes = {p.name: min(share * p.magnitude, p.upper) for p in typical}
-        trial = Filtered(
-            model.with_values(fit.values | shape | sizes),
-            problem.dataset,
-            problem.levels.starting(fit.noise).held(),
-            kernel=problem.kernel,
-        )
+        trial = problem.posed(levels, model=model.with_values(fit.values | shape | sizes))
         unknowns = trial.point(fit.initial, fit.local).unknowns
         found = problem.replayed(trial, unknowns, rows.passes)
         if found is None:

@@ -208,21 +208,6 @@ class Study:
 
     # -- fits ------------------------------------------------------------------------
 
-    def problem(
-        self,
-        effects: Sequence[Effect],
-        values: Mapping[str, float],
-        levels: Levels,
-        dataset: Dataset,
-        knowledge: Knowledge | None = None,
-        *,
-        step: float = np.inf,
-    ) -> Filtered:
-        """Likelihood of the nominal model with some effects, by steps of its own or finer ones."""
-        model = self.model(effects, values, step)
-        kernel = self.kernel_by(model.step, narrow=not effects)
-        return Filtered(model, dataset, levels, kernel=kernel, knowledge=knowledge)
-
     def kernel_by(self, step: float, *, narrow: bool = False) -> FilterKernel:
         """The compiled filter by some integration step, s, of all candidates or of none."""
         known = self.narrow if narrow else self.kernel
@@ -234,19 +219,8 @@ class Study:
         kernel = self.kernel_by(problem.model.step)
         if problem.kernel is kernel:
             return found
-        wide = problem.with_levels(problem.levels, problem.longest_hold, kernel)
+        wide = problem.posed(kernel=kernel, longest_hold=problem.longest_hold)
         return replace(found, now=replace(found.now, problem=wide))
-
-    def as_in(
-        self,
-        found: FilteredSolution,
-        levels: Levels,
-        dataset: Dataset,
-        knowledge: Knowledge | None = None,
-    ) -> Filtered:
-        """Likelihood of a model that was found, at its values and by its steps."""
-        effects, step = self.effects_of(found), found.problem.model.step
-        return self.problem(effects, found.values, levels, dataset, knowledge, step=step)
 
     def model(
         self, effects: Sequence[Effect], values: Mapping[str, float], step: float = np.inf
@@ -271,11 +245,11 @@ class Study:
 
     def levels(self, noise: NoiseModel, dataset: Dataset) -> Levels:
         """All levels unknown, begun at a noise model."""
-        return self.setting.as_in(dataset, noise, self.unit)
+        return self.setting.levels(dataset, noise, self.unit)
 
     def with_levels(self, found: FilteredSolution, levels: Levels) -> FilteredSolution | None:
         """A fit to the training records again, with other levels unknown."""
-        return _solved(self.as_in(found, levels, self.train), found, 8)
+        return _solved(found.problem.posed(levels, model=found.model), found, 8)
 
     def estimate(
         self,
@@ -316,7 +290,9 @@ class Study:
         assert noise is not None
         levels = self.levels(noise, self.train)
         levels = levels if update_noise else levels.held()
-        problem = self.problem(effects, values, levels, self.train, step=step)
+        model = self.model(effects, values, step)
+        kernel = self.kernel_by(model.step, narrow=not effects)
+        problem = Filtered(model, self.train, levels, kernel=kernel)
         return _solved(problem, start, max_iterations)
 
     def anew(self, found: FilteredSolution, *, at_sea: bool = False) -> FilteredSolution | None:
@@ -408,7 +384,9 @@ class Study:
         known = known + np.diag(VAGUE / scale**2)
         levels = self.levels(self.loosened(found.noise), validation)
         knowledge = Knowledge(found.point.unknowns[shared].copy(), known)
-        problem = self.as_in(found, levels, validation, knowledge)
+        problem = found.problem.posed(
+            levels, model=found.model, dataset=validation, knowledge=knowledge
+        )
         alone = self.alone(found, validation)
         solution = alone and _solved(problem, alone, 20)
         if not solution:
@@ -454,7 +432,7 @@ class Study:
         tolerance: float = FROZEN_TOLERANCE,
     ) -> FilteredSolution | None:
         """Start states, values of each record and open levels, all shared parameters held."""
-        problem = self.as_in(found, levels, dataset)
+        problem = found.problem.posed(levels, model=found.model, dataset=dataset)
         shared = np.arange(len(problem.layout.shared))
         point = problem.point(start.initial, start.local)
         held = problem.holding(shared, point.unknowns[shared])
@@ -464,10 +442,8 @@ class Study:
     @_once
     def runs(self, found: FilteredSolution, dataset: Dataset) -> tuple[WholeRun, ...]:
         """Whole runs of the model on its own, start states and values of each record fitted."""
-        sigma = found.noise.sensors
-        model = self.model(self.effects_of(found), found.values, found.problem.model.step)
-        runner = found.problem.kernel.part(model, found.problem.own)
-        return whole_runs(model, dataset, sigma, runner=runner)
+        runner = found.problem.kernel.part(found.model, found.problem.own)
+        return whole_runs(found.model, dataset, found.noise.sensors, runner=runner)
 
     def rms(self, found: FilteredSolution, dataset: Dataset | None) -> np.ndarray:
         """Errors of the model on its own, ``(n_outputs,)``, as `compare` finds them.

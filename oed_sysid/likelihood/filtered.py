@@ -195,21 +195,35 @@ class Filtered(Posed):
         block = self.layout.levels
         return (self.levels.following(matrix[block, block], point.unknowns[block]),)
 
-    def with_levels(
+    def posed(
         self,
-        levels: Levels,
-        longest_hold: float | None = None,
+        levels: Levels | None = None,
+        *,
+        model: Model | None = None,
+        dataset: Dataset | None = None,
         kernel: FilterKernel | None = None,
+        knowledge: Knowledge | None = None,
+        longest_hold: float | None = None,
     ) -> Filtered:
-        """Return the same problem with other levels of the noise unknown, or by another kernel."""
+        """Return the same problem with some of its parts others.
+
+        What is known of start states holds for the same records only; what other records say of
+        parameters, and the longest hold, only where given again.
+        """
         return Filtered(
-            self.model,
-            self.dataset,
-            levels,
+            model or self.model,
+            dataset or self.dataset,
+            self.levels if levels is None else levels,
             kernel=kernel or self.kernel,
-            known_starts=self.known_starts,
+            known_starts=None if dataset else self.known_starts,
+            knowledge=knowledge,
             longest_hold=longest_hold,
         )
+
+    def beside(self, others: np.ndarray, noise: NoiseModel | None = None) -> Point:
+        """Point at given unknowns before the levels, these as they begin or of a noise model."""
+        known = others[: self.layout.levels.start]
+        return Point(np.append(known, self.levels.vector(noise)), ())
 
     def open_unknowns(self, first: int) -> np.ndarray:
         """Positions from ``first`` on of what is estimated; levels count as such."""

@@ -58,6 +58,7 @@ from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import bounded_step, gain_within
 from oed_sysid.likelihood.shooting import Follows, Linearisation, Point, Shooting
 from oed_sysid.likelihood.unknowns import node_maps
+from oed_sysid.physics.model import Model
 
 # Ratio of one length of a step that is tried to the one before.
 SHORTER = 0.4
@@ -713,6 +714,11 @@ class FilteredSolution(Solution):
         """Value of every parameter of the model; those of each record at their mean."""
         model = self.problem.model
         return model.values | self.problem.layout.means(model, self.point.unknowns)
+
+    @property
+    def model(self) -> Model:
+        """The model at these values."""
+        return self.problem.model.with_values(self.values)
 
     @property
     def initial(self) -> list[np.ndarray]:

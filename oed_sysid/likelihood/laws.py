@@ -53,7 +53,6 @@ from oed_sysid.likelihood.noise_levels import RARE, first_order
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
 from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.score_test import Setting
-from oed_sysid.likelihood.shooting import Point
 from oed_sysid.likelihood.smoother import Path, smoothable
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
@@ -130,14 +129,13 @@ def posed_again(
         np.zeros(len(noise.white), dtype=bool),
         logged=[place for place in every_place(fit.model) if place.stage == "actuator"],
     )
-    lasting = set(noise.force_time[(noise.force > 0) & (noise.force_time > 0)])
     unknown = Levels.of(
         noise,
         noise,
         white=fit.sigma_estimated & levels,
         colour=(noise.colour > 0) & levels,
         force=(noise.force > 0) & levels,
-        own_times=len(lasting) > 1,
+        own_times=noise.has_own_times,
         times=setting.times(fit.dataset),
         seas=None if levels else noise.seas,
     )
@@ -222,9 +220,8 @@ def loss_without(fit: Estimate, place: str) -> float:
     force = np.where(np.isin(fit.noise.places, place), 0.0, fit.noise.force)
     levels = problem.levels.starting(replace(fit.noise, force=force))
     levels = levels.only([name != f"{place} level" for name in levels.names])
-    others = unknowns[: problem.layout.levels.start]
-    point = Point(np.append(others, levels.vector()), ())
-    end = solve_filtered(problem.with_levels(levels), point, polish=0)
+    without = problem.posed(levels)
+    end = solve_filtered(without, without.beside(unknowns), polish=0)
     return end.objective - problem.objective(unknowns)
 
 

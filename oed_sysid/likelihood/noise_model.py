@@ -230,6 +230,11 @@ class NoiseModel:
         return bool(np.any(self.force > 0)) or any(sea.acts for sea in self.seas)
 
     @property
+    def has_own_times(self) -> bool:
+        """Whether disturbances that act and last do so for different times."""
+        return len({*self.force_time[(self.force > 0) & (self.force_time > 0)]}) > 1
+
+    @property
     def is_white(self) -> bool:
         """Whether nothing but white sensor noise is left."""
         return not (self.has_colour or self.has_forces)

@@ -195,14 +195,13 @@ def _begun(setting: Setting, start: Start, begin: NoiseModel, unit: NoiseModel) 
     Levels and time would otherwise first follow the misfit of wrong values, and then come back.
     """
     own = begin if start.noise is None else _carried(begin, start.noise, setting)
-    problem, unknowns = setting.problem(start, setting.as_in(setting.dataset, own, unit))
+    problem, unknowns = setting.problem(start, setting.levels(setting.dataset, own, unit))
     if start.noise is not None:
         return begun(problem, unknowns)
-    others = unknowns[: problem.layout.levels.start]
-    first = _likeliest_level(problem, others, begin)
+    first = _likeliest_level(problem, unknowns, begin)
     levels = problem.levels.starting(problem.noise(first.point.unknowns)).held()
-    held = problem.with_levels(levels)
-    found = solve_filtered(held, Point(others, ()), max_iterations=2, polish=0)
+    held = problem.posed(levels)
+    found = solve_filtered(held, held.beside(unknowns), max_iterations=2, polish=0)
     later = _likeliest_level(problem, found.point.unknowns, levels.noise, climb=False)
     return min(first, later, key=lambda one: one.cost)
 
@@ -230,7 +229,7 @@ def _likeliest_level(
     def at(decade: int) -> np.ndarray:
         force = begin.force.copy()
         force[forces] *= 10.0**decade
-        return np.concatenate([others, problem.levels.vector(replace(begin, force=force))])
+        return problem.beside(others, replace(begin, force=force)).unknowns
 
     def these(
         unknowns: np.ndarray, matrix: np.ndarray, lower: np.ndarray, upper: np.ndarray
@@ -371,7 +370,7 @@ class _Scored:
         """The end of an estimation, forces perhaps held over shorter steps."""
         problem, unknowns = found.problem, found.point.unknowns
         if longest_hold is not None:
-            problem = problem.with_levels(problem.levels, longest_hold)
+            problem = problem.posed(longest_hold=longest_hold)
         return cls(problem, unknowns, problem.passes(unknowns, rows=True))
 
     def gain(self, wide: Filtered, names: Sequence[str]) -> tuple[float, np.ndarray]:
@@ -393,9 +392,9 @@ class _Scored:
         """
         problem = self.problem
         new = wide.levels.only(np.isin(wide.levels.names, names))
-        alone = wide.with_levels(new, problem.longest_hold)
-        others = self.unknowns[: problem.layout.levels.start]
-        passes = alone.passes(np.append(others, np.zeros(len(names))), levels_only=True, rows=True)
+        alone = wide.posed(new, longest_hold=problem.longest_hold)
+        begin = alone.beside(self.unknowns).unknowns
+        passes = alone.passes(begin, levels_only=True, rows=True)
         if not all(part.ok for part in passes):
             return 0.0, np.zeros(len(names))
         matrix, right = self._equations(passes, alone.levels.scale)
@@ -825,7 +824,6 @@ def _likeliest_sea(found: FilteredSolution, setting: Setting, alone: NoiseModel,
     def objective(one: Sea) -> float:
         known = [replace(one, levels=None)]
         problem = posed(found, setting, replace(alone, seas=(one,)), seas=known)
-        others = found.point.unknowns[: problem.layout.levels.start]
-        return problem.objective(np.concatenate([others, problem.levels.vector()]))
+        return problem.objective(problem.beside(found.point.unknowns).unknowns)
 
     return min(tried, key=objective)

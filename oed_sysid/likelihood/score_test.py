@@ -49,7 +49,7 @@ from oed_sysid.likelihood.noise_model import (
     disturbance_names,
 )
 from oed_sysid.likelihood.projection import gain_within
-from oed_sysid.likelihood.shooting import Point, Shooting
+from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
 
@@ -196,15 +196,17 @@ class Setting:
         dataset: Dataset,
         noise: NoiseModel,
         unit: NoiseModel,
-        colour: np.ndarray,
+        colour: np.ndarray | None = None,
         *,
-        own_times: bool = False,
+        own_times: bool | None = None,
         seas: Sequence[Sea] | None = None,
     ) -> Levels:
-        """Unknown levels, begun at a noise model, some outputs coloured.
+        """Unknown levels, begun at a noise model, colours and own times by default as it has them.
 
         Of its ``seas`` those declared are known as far as declared, unless others are given.
         """
+        colour = noise.colour > 0 if colour is None else colour
+        own_times = noise.has_own_times if own_times is None else own_times
         if seas is None:
             seas = self.seas or [Sea()] * len(noise.seas)
         known = {place: level for sea in unit.seas for place, level in (sea.levels or {}).items()}
@@ -237,12 +239,6 @@ class Setting:
             seas=seas,
         )
 
-    def as_in(self, dataset: Dataset, noise: NoiseModel, unit: NoiseModel) -> Levels:
-        """Unknown levels as a noise model has them: its colours, its own times if they differ."""
-        times = noise.force_time[(noise.force > 0) & (noise.force_time > 0)]
-        own = bool(np.any(times != times[:1]))
-        return self.levels(dataset, noise, unit, noise.colour > 0, own_times=own)
-
 
 def posed(
     found: FilteredSolution,
@@ -260,20 +256,17 @@ def posed(
     Coloured sensors are by default those of ``noise``; of ``seas`` is unknown what they leave out.
     Forces are held no longer than the waves of ``noise`` may be, or than ``longest_hold``, s.
     """
-    problem, colour = found.problem, noise.colour > 0 if colour is None else colour
+    problem = found.problem
     unit = problem.levels.unit if unit is None else unit
-    return problem.with_levels(
-        setting.levels(problem.dataset, noise, unit, colour, own_times=own_times, seas=seas),
-        longest_hold,
-    )
+    levels = setting.levels(problem.dataset, noise, unit, colour, own_times=own_times, seas=seas)
+    return problem.posed(levels, longest_hold=longest_hold)
 
 
 def moved(
     found: FilteredSolution, problem: Filtered, most: int, tolerance: float = FROZEN_TOLERANCE
 ) -> FilteredSolution:
     """Estimate again from a solution with other levels unknown, in at most so many steps."""
-    others = found.point.unknowns[: found.problem.layout.levels.start]
-    point = Point(np.concatenate([others, problem.levels.vector()]), ())
+    point = problem.beside(found.point.unknowns)
     return solve_filtered(problem, point, max_iterations=most, tolerance=tolerance, polish=0)
 
 
