@@ -34,7 +34,7 @@ from oed_sysid.likelihood.noise_model import SHAPES, Levels, NoiseModel
 from oed_sysid.likelihood.projection import gain_within
 from oed_sysid.likelihood.random_forces import threshold
 from oed_sysid.likelihood.realisation import drawn_disturbances, narrow_band_force
-from oed_sysid.likelihood.score_test import Setting, moved, posed
+from oed_sysid.likelihood.score_test import Scored, Setting, moved, posed
 from oed_sysid.physics import Parameter, wave_force
 from oed_sysid.physics.channels import Channels, Input, Output
 
@@ -308,7 +308,7 @@ def test_a_test_of_one_more_level_is_that_of_all_equations(monkeypatch: pytest.M
         nothing = Sea(period, 0.3, {"r": 0.0}, "velocity")
         noise, known = replace(found.noise, seas=(nothing,)), [replace(nothing, levels=None)]
         wide = posed(found, setting, noise, seas=known, longest_hold=0.5)
-        gain, _ = random_forces._Scored.at(found, 0.5).gain(wide, ["sea force r level"])
+        gain, _ = Scored.at(found, 0.5).gain(wide, ["sea force r level"])
         still = moved(found, wide, 0)
         assert still is not None
         unknowns, limits = still.point.unknowns, wide.limits

@@ -68,6 +68,7 @@ from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.information import commanded_runs, respond
 from oed_sysid.information.shifts import GROUP_WIDTH, Group, Shifts
+from oed_sysid.likelihood.projection import ABSORBED
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Section, Table, as_dict
@@ -602,8 +603,6 @@ def pair_misfits(
 
 # Beyond this expected gain everything shows; the distribution is not evaluated.
 _CERTAIN = 300.0
-# Share of an effect that parameters cannot imitate, below which no run of this kind shows it.
-_ABSORBED = 1e-6
 # Probability from which on something counts as sure: limits kept if no probability was asked for,
 # and the smallest size of an effect that shows.
 SURE = 0.9
@@ -677,7 +676,8 @@ class Detect:
                 value, by_gram = noncentrality(gram, group)
                 logs[i], slope = log_power(value, group.freedom, gain)
                 slopes.append(slope * by_gram)
-                usable.append(value > _ABSORBED * noncentrality(raw, group)[0])
+                # Where parameters imitate an effect, no run of this kind shows it.
+                usable.append(value > ABSORBED**2 * noncentrality(raw, group)[0])
             if not self.worst:
                 return float(logs.mean()), mapping.T @ np.mean(slopes, axis=0) @ mapping
             kept = np.flatnonzero(usable) if any(usable) else np.arange(len(logs))

@@ -62,6 +62,7 @@ from oed_sysid.evidence.words import Log, judged_row, said
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_levels import Runs
+from oed_sysid.likelihood.projection import score_beside
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_columns, measured_states
 from oed_sysid.physics.channels import Input, State
 from oed_sysid.physics.model import Model
@@ -513,11 +514,11 @@ def between_runs(fit: Fit) -> tuple[Finding, ...]:
         Candidate("run", (name,), unit, 1.0, RELATIVE, record=record)
         for record, (name, unit) in product(series, units.items())
     ]
-    root = 1.0 / np.sqrt(np.maximum(whole.diagonal(), 1e-300))
-    inverse = np.linalg.pinv(whole * np.outer(root, root), rcond=1e-12, hermitian=True)
-    across = np.concatenate(own) * root
-    gram = block_diag(*own) - across @ inverse @ across.T
-    right = np.concatenate(scores) - across @ inverse @ (root * sources.scores.sum(axis=0))
+    across = np.concatenate(own)
+    joint = np.block([[block_diag(*own), across], [across.T, whole]])
+    right = np.concatenate([*scores, sources.scores.sum(axis=0)])
+    single, shared = np.split(np.arange(len(right)), [len(across)])
+    gram, right = score_beside(joint, right, single, shared)
     # Errors of correlated residuals are larger than the information says.
     with np.errstate(invalid="ignore", divide="ignore"):
         grown = np.diag(fit.covariance) / np.diag(fit.information.covariance)

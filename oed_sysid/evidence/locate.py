@@ -407,11 +407,11 @@ class _Bench:
     def _likeliest(self, place: Place, others: np.ndarray) -> Iterate:
         """The likeliest of some decades of a level, about what its score at zero says."""
         first = self.quiet.problem.posed(self._levels(place, 1.0))
-        nothing = np.concatenate([others, first.levels.vector(first.levels.noise)])
-        nothing[first.layout.levels.start] = 0.0
+        nothing = first.beside(others).unknowns
+        nothing[len(others)] = 0.0
         parts = [part for part in first.passes(nothing, levels_only=True) if part.ok]
-        told = sum(float(part.level_information[0, 0] + part.gram[0, 0]) for part in parts)
-        score = -sum(float(part.level_slope[0] + part.gram[0, -1]) for part in parts)
+        matrix, right = first.gathered(nothing, parts)
+        told, score = float(matrix[len(others), len(others)]), float(right[len(others)])
         # The standard error of a variance is told^-1/2: the records tell of no less.
         least = told**-0.25 if told > 0 else 1.0
         size = max(least, np.sqrt(max(score, 0.0) / told)) if told > 0 else 1.0
@@ -420,8 +420,7 @@ class _Bench:
         def at(decade: int) -> Iterate:
             level = max(size * 10.0**decade, least)
             problem = self.quiet.problem.posed(self._levels(place, level))
-            levels = problem.levels.vector(problem.levels.noise)
-            return begun(problem, np.concatenate([others, levels]))
+            return begun(problem, problem.beside(others).unknowns)
 
         return at(likeliest_decade(lambda decade: 2.0 * at(decade).cost, climb=False))
 

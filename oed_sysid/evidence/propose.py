@@ -40,7 +40,7 @@ from oed_sysid.likelihood.disturbances import disturbed_equations, equation_unit
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import ALIKE
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
-from oed_sysid.likelihood.laws import ABSORBED
+from oed_sysid.likelihood.projection import ABSORBED
 from oed_sysid.likelihood.smoother import Path, smoothable
 from oed_sysid.physics import Effect, Force
 from oed_sysid.physics.channels import Output

@@ -20,12 +20,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.compiled.filtering import FilterPass
-from oed_sysid.evidence.score import Rows
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import inverse_of
+from oed_sysid.likelihood.score_test import Scored
 from oed_sysid.likelihood.smoother import smoothable
 from oed_sysid.runtime.display import as_dict
 
@@ -100,8 +99,7 @@ class ResidualForces:
     ----------
     problem : Filtered
         With no level unknown.
-    unknowns : ndarray (n_unknowns,)
-    rows : Rows
+    point : Scored
         Innovations and their derivatives by the unknowns.
     covariance : ndarray (n_unknowns, n_unknowns)
         Of the unknowns.
@@ -112,21 +110,19 @@ class ResidualForces:
     """
 
     def __init__(self, problem: Filtered, unknowns: np.ndarray) -> None:
-        self.problem, self.unknowns = problem, unknowns
+        self.problem = problem
         passes, self.paths = smoothable(problem, unknowns)
-        self.rows = rows = Rows(problem, unknowns, passes)
-        self.covariance = inverse_of(rows.known.T @ rows.known)
+        self.point = Scored(problem, unknowns, passes)
+        self.covariance = inverse_of(self.point.equations[0])
         self.columns = []
         for index, (part, path) in enumerate(zip(passes, self.paths, strict=True)):
-            here = rows.known[rows.parts[index]][:, problem.layout.record_columns(index)]
-            here = here.reshape(*part.innovations.shape, -1)
-            self.columns.append(path.disturbances(-here * np.sqrt(part.variances)[:, :, None]))
+            assert part.rows is not None
+            rows = part.rows * problem.columns_of(unknowns, index)[1]
+            self.columns.append(path.disturbances(rows * np.sqrt(part.variances)[:, :, None]))
 
     def series(self) -> Iterator[Series]:
         """Smoothed disturbances, per record."""
-        right = self.rows.known.T @ self.rows.residual
-        smoothed = self._smoothed(self.rows.passes, right)
-        parts = zip(self.paths, self.columns, smoothed, strict=True)
+        parts = zip(self.paths, self.columns, self._smoothed(self.point), strict=True)
         for index, (path, columns, values) in enumerate(parts):
             where = self.problem.layout.record_columns(index)
             spread = np.sum((columns @ self.covariance[np.ix_(where, where)]) * columns, axis=2)
@@ -145,14 +141,12 @@ class ResidualForces:
         ------
         ndarray (n_times, n_disturbances)
         """
-        passes = self.problem.passes(self.unknowns, measured=measured)
-        gathered = self.problem.gathered(self.unknowns, passes)
-        _, right = self.problem.limits.with_priors(*gathered, self.unknowns)
-        return self._smoothed(passes, right)
+        passes = self.problem.passes(self.point.unknowns, measured=measured)
+        return self._smoothed(replace(self.point, passes=passes))
 
-    def _smoothed(self, passes: Sequence[FilterPass], right: np.ndarray) -> Iterator[np.ndarray]:
-        step = self.covariance @ right
-        for index, (path, part) in enumerate(zip(self.paths, passes, strict=True)):
+    def _smoothed(self, point: Scored) -> Iterator[np.ndarray]:
+        step = self.covariance @ point.equations[1]
+        for index, (path, part) in enumerate(zip(self.paths, point.passes, strict=True)):
             own = path.disturbances(part.innovations[:, :, None])[:, :, 0]
             where = self.problem.layout.record_columns(index)
             yield own + self.columns[index] @ step[where]

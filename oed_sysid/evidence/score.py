@@ -37,8 +37,7 @@ from oed_sysid.evidence.study import Study
 from oed_sysid.information.response import TANGENT
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
-from oed_sysid.likelihood.laws import ABSORBED
-from oed_sysid.likelihood.projection import inverse_of
+from oed_sysid.likelihood.projection import ABSORBED, inverse_of
 from oed_sysid.physics import Effect
 from oed_sysid.physics.parameters import Parameter
 

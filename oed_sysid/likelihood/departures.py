@@ -37,7 +37,7 @@ import numpy as np
 from oed_sysid.compiled.kernels import Kernel, Run, by_unknowns, kernel
 from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate
 from oed_sysid.likelihood.information import COLOUR_LIMIT
-from oed_sysid.likelihood.projection import inverse_of, project_out
+from oed_sysid.likelihood.projection import project_out, score_beside
 from oed_sysid.physics.model import Model
 
 Departed = TypeVar("Departed", Departure, ActuatorStart)
@@ -127,13 +127,14 @@ def _scores(fit: Estimate, parts: Sequence[_Evidence], *, joint: bool) -> Iterat
     numbers = [one.name for one in fields(_Evidence)[1:]]
     total = _Evidence("", *(sum(getattr(part, name) for part in parts) for name in numbers))
     misfit, n = max(total.squares / max(total.count, 1), 1.0), len(fit.names)
-    inverse = inverse_of(total.products[:n, :n])
+    shared, absent = np.split(np.arange(len(total.products) - 1), [n])
     for part in [total] if joint else parts:
-        cross, excess = part.products[:n, n:-1], max(part.squares - part.count, 1e-9)
+        excess = max(part.squares - part.count, 1e-9)
         # All shared parameters estimated along, over all records.
-        taken = np.einsum("ij,ik,kj->j", cross, inverse, cross)
-        information = np.diag(part.products)[n:-1] - taken
-        score = part.products[n:-1, -1] - cross.T @ (inverse @ total.products[:n, -1])
+        products = part.products.copy()
+        products[:n, :n], products[:n, -1] = total.products[:n, :n], total.products[:n, -1]
+        matrix, score = score_beside(products[:-1, :-1], products[:-1, -1], absent, shared)
+        information = np.diag(matrix)
         for column in np.flatnonzero(information > 1e-9 * np.maximum(part.raw, 1e-300)):
             # One Gauss-Newton step from zero; what it explains is step times score.
             size = float(score[column] / information[column])

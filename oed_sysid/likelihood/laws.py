@@ -51,8 +51,8 @@ from oed_sysid.likelihood.filtered import Filtered, disturbed_model
 from oed_sysid.likelihood.gauss_newton import solve_filtered
 from oed_sysid.likelihood.noise_levels import RARE, first_order
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
-from oed_sysid.likelihood.projection import inverse_of
-from oed_sysid.likelihood.score_test import Setting
+from oed_sysid.likelihood.projection import ABSORBED
+from oed_sysid.likelihood.score_test import Scored, Setting
 from oed_sysid.likelihood.smoother import Path, smoothable
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
@@ -61,11 +61,8 @@ from oed_sysid.text import expressions
 
 # Knots of a piecewise linear function, and lags of first order, of every signal.
 KNOTS, LAGS = 5, 3
-# What is left of a signature after projection, as a share of it, below which what is estimated does
-# the same.
-ABSORBED = 1e-3
 # What two signals leave of the statistic, over what one of them leaves, to be named both.
-CLEARLY = 0.7
+SECOND_LEAVES = 0.7
 # Records drawn to see how large a statistic is by chance, at least and at most: until it is clear.
 FEWEST_DRAWS, DRAWS = 5, 20
 # How time since the start of a record is called among the signals.
@@ -165,28 +162,17 @@ def asked_beside(fit: Estimate, found: Departure) -> Departure:
         With the size, the error and the statistic that it has there.
     """
     problem, unknowns = posed_again(fit)
-    parts = problem.passes(unknowns, levels=False, rows=True)
-    spoilt, unit = _spoilt(fit, found, parts)
+    point = Scored(problem, unknowns, problem.passes(unknowns, levels=False, rows=True))
+    spoilt, unit = _spoilt(fit, found, point.passes)
     moved = posed_again(replace(fit, dataset=spoilt))[0].passes(unknowns, columns=False)
-    equations = problem.limits.with_priors(*problem.gathered(unknowns, parts), unknowns)
-    cross, own, slope, squares, count = np.zeros(len(unknowns)), 0.0, 0.0, 0.0, 0
-    for index, (part, other) in enumerate(zip(parts, moved, strict=True)):
-        seen = np.isfinite(part.innovations)
-        std = np.sqrt(part.variances[seen])
-        white = part.innovations[seen] / std
-        column = (other.innovations[seen] / std - white) / unit
-        assert part.rows is not None
-        rows = part.rows[seen]
-        where, units = (some[: rows.shape[1]] for some in problem.columns_of(unknowns, index))
-        cross[where] += units * (rows.T @ column)
-        own, slope = own + float(column @ column), slope - float(column @ white)
-        squares, count = squares + float(white @ white), count + len(white)
-    open_ = problem.open_unknowns(0)
-    share = cross[open_] @ inverse_of(equations[0][np.ix_(open_, open_)])
-    information = max(own - float(share @ cross[open_]), ABSORBED * own)
-    score = slope - float(share @ equations[1][open_])
-    size, scatter = score / information, max(squares / max(count, 1), 1.0)
-    return replace(found, size=size, std=float(np.sqrt(scatter / information)), gain=size * score)
+    columns = (
+        ((other.innovations - part.innovations) / np.sqrt(part.variances) / unit)[:, :, None]
+        for part, other in zip(point.passes, moved, strict=True)
+    )
+    left, score, own = (one.item() for one in point.score(columns, 1))
+    information = max(left, ABSORBED * own)
+    size, std = score / information, information**-0.5
+    return replace(found, size=size, std=std, gain=point.scatter * size * score)
 
 
 def _spoilt(fit: Estimate, found: Departure, parts: Sequence[FilterPass]) -> tuple[Dataset, float]:
@@ -217,10 +203,8 @@ def _spoilt(fit: Estimate, found: Departure, parts: Sequence[FilterPass]) -> tup
 def loss_without(fit: Estimate, place: str) -> float:
     """Likelihood-ratio statistic of the disturbance at one place of a fit, levels free."""
     problem, unknowns = posed_again(fit, levels=True)
-    force = np.where(np.isin(fit.noise.places, place), 0.0, fit.noise.force)
-    levels = problem.levels.starting(replace(fit.noise, force=force))
-    levels = levels.only([name != f"{place} level" for name in levels.names])
-    without = problem.posed(levels)
+    gone = np.isin(fit.noise.places, place)
+    without = problem.posed(problem.levels.without_forces(gone))
     end = solve_filtered(without, without.beside(unknowns), polish=0)
     return end.objective - problem.objective(unknowns)
 
@@ -244,9 +228,10 @@ def laws(problem: Filtered, unknowns: np.ndarray) -> tuple[Law, ...] | None:
     if unresolved(problem.model, problem.records, problem.noise(unknowns)):
         return None
     try:
-        end = _End(problem, unknowns, *smoothable(problem, unknowns))
+        passes, paths = smoothable(problem, unknowns)
     except SimulationError:
         return None
+    end = _End(Scored(problem, unknowns, passes), paths)
     asked, owners = end.asked()
     if not owners.size:
         return None
@@ -291,20 +276,16 @@ def _intervals(records: Iterable[Record]) -> np.ndarray:
 class _End:
     """Where an estimation ended, and what can be asked there of one place after the other."""
 
-    problem: Filtered
-    unknowns: np.ndarray
-    passes: Sequence[FilterPass]
+    point: Scored
     paths: Sequence[Path]
 
     def asked(self, places: Container[str] | None = None) -> tuple[list[_Asked], np.ndarray]:
         """Places that act, all or some, and whose each function is; none where nothing moves."""
-        features, owners = _features(self.problem, self.passes)
+        features, owners = _features(self.point.problem, self.point.passes)
         if not owners.size:
             return [], owners
-        matrix, right = self.problem.gathered(self.unknowns, self.passes)
-        equations = self.problem.limits.with_priors(matrix, right, self.unknowns)
         return [
-            self._one(place, responses, equations, len(owners))
+            self._one(place, responses, len(owners))
             for place, responses in self._responses(features)
             if places is None or place in places
         ], owners
@@ -321,16 +302,18 @@ class _End:
 
     def _drawn(self, rng: np.random.Generator, places: Container[str]) -> list[_Asked]:
         """Some places, where drawn records tell something of them; none where one is lost."""
-        drawn = [_drawn(self.problem, part, rng) for part in self.passes]
+        drawn = [_drawn(self.point.problem, part, rng) for part in self.point.passes]
         if not all(np.isfinite(part.path).all() for part in drawn):
             return []
-        return [one for one in replace(self, passes=drawn).asked(places)[0] if one.freedom]
+        there = replace(self, point=replace(self.point, passes=drawn))
+        return [one for one in there.asked(places)[0] if one.freedom]
 
     def _responses(
         self, features: Sequence[np.ndarray]
     ) -> Iterator[tuple[str, Iterator[np.ndarray]]]:
         """Every place that acts, and whitened innovations by the functions there, per record."""
-        noise, levels = self.problem.noise(self.unknowns), self.problem.levels
+        problem = self.point.problem
+        noise, levels = problem.noise(self.point.unknowns), problem.levels
         acting = _acting(noise, levels.disturbances)
         pairs = [*zip(self.paths, features, strict=True)]
         # Of one record at a time: columns of long records are large.
@@ -343,37 +326,14 @@ class _End:
             lasts = float(noise.colour_time[column])
             found = (
                 path.responses(_of_colour(path, own, record.times, lasts, at))
-                for record, (path, own) in zip(self.problem.records, pairs, strict=True)
+                for record, (path, own) in zip(problem.records, pairs, strict=True)
             )
             yield f"{SLOW}{noise.outputs[column]}", found
 
-    def _one(
-        self,
-        place: str,
-        responses: Iterable[np.ndarray],
-        equations: tuple[np.ndarray, np.ndarray],
-        n_functions: int,
-    ) -> _Asked:
+    def _one(self, place: str, responses: Iterable[np.ndarray], count: int) -> _Asked:
         """Ask one place; ``responses`` are the whitened innovations by each function."""
-        n = len(self.unknowns)
-        cross, own = np.zeros((n, n_functions)), np.zeros((n_functions, n_functions))
-        slope, squares, count = np.zeros(n_functions), 0.0, 0
-        for index, (part, moved) in enumerate(zip(self.passes, responses, strict=True)):
-            seen = np.isfinite(part.innovations)
-            white = part.innovations[seen] / np.sqrt(part.variances[seen])
-            where, size = self.problem.columns_of(self.unknowns, index)
-            assert part.rows is not None
-            rows, columns = part.rows[seen][:, : len(where)], moved[seen]
-            cross[where] += size[:, None] * (rows.T @ columns)
-            own += columns.T @ columns
-            slope -= columns.T @ white
-            squares, count = squares + float(white @ white), count + len(white)
-        open_ = self.problem.open_unknowns(0)
-        share = cross[open_].T @ inverse_of(equations[0][np.ix_(open_, open_)])
-        scatter = max(squares / max(count, 1), 1.0)
-        score = slope - share @ equations[1][open_]
-        size = np.sqrt(np.diag(own) / scatter)
-        return _Asked(place, score / scatter, (own - share @ cross[open_]) / scatter, size)
+        left, score, own = self.point.score(responses, count)
+        return _Asked(place, score, left, np.sqrt(own))
 
 
 def _drawn(problem: Filtered, part: FilterPass, rng: np.random.Generator) -> FilterPass:
@@ -455,7 +415,7 @@ class _Asked:
         whole = self.statistic()
         alone, pair = best([(name,) for name in names]), best([*combinations(names, 2)])
         # Two signals only where they leave clearly less than the better of them.
-        both = whole - pair[0] < CLEARLY * (whole - alone[0])
+        both = whole - pair[0] < SECOND_LEAVES * (whole - alone[0])
         return Law(self.place, (pair if both else alone)[1], whole, self.freedom, self.needed)
 
 

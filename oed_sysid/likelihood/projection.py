@@ -6,7 +6,9 @@ with ``A`` positive semidefinite. Directions without information get the smalles
 
 Unknowns that are estimated along are eliminated by the Schur complement
 
-.. math:: A_{kk} - A_{ko} A_{oo}^+ A_{ok} .
+.. math:: A_{kk} - A_{ko} A_{oo}^+ A_{ok} , \qquad b_k - A_{ko} A_{oo}^+ b_o ,
+
+information and score of what is kept (Rao 1948): the score test of every absence.
 """
 
 from __future__ import annotations
@@ -19,6 +21,9 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 NOTHING, UNSEEN = 1e-12, 1e-6
 # Singular directions below this share of the largest are not projected out, nor answered.
 BLIND = 1e-10
+# What is left of a signature after projection, as a share of it, below which what is estimated does
+# the same.
+ABSORBED = 1e-3
 # Below this share of the largest eigenvalue of the equilibrated matrix, a direction is rounding
 # error: the square of the information's null tolerance.
 NULL_EIGENVALUE = 1e-13
@@ -128,8 +133,16 @@ def share_of(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.nda
 
 def eliminate(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Information of some unknowns once all others are estimated too."""
+    return score_beside(matrix, np.zeros(len(matrix)), kept, others)[0]
+
+
+def score_beside(
+    matrix: np.ndarray, right: np.ndarray, kept: np.ndarray, others: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Information ``(n_kept, n_kept)`` and score ``(n_kept,)`` of some, others estimated too."""
     share = share_of(matrix, kept, others)
-    return np.asarray(matrix[np.ix_(kept, kept)] - share @ matrix[np.ix_(others, kept)])
+    information = matrix[np.ix_(kept, kept)] - share @ matrix[np.ix_(others, kept)]
+    return np.asarray(information), np.asarray(right[kept] - share @ right[others])
 
 
 def root_of(covariance: np.ndarray) -> np.ndarray:

@@ -25,14 +25,14 @@ shape lets them in.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from itertools import compress
 
 import numpy as np
 from scipy.special import chdtrc, comb
 
-from oed_sysid.compiled.filtering import FORCE_VARIANCE, FilterPass
+from oed_sysid.compiled.filtering import FORCE_VARIANCE
 from oed_sysid.data.record import Record
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.covariance import FEWEST
@@ -58,8 +58,7 @@ from oed_sysid.likelihood.gauss_newton import (
 from oed_sysid.likelihood.information import autocorrelation
 from oed_sysid.likelihood.noise_levels import BEYOND, credible_levels
 from oed_sysid.likelihood.noise_model import SHAPES, STEPS_OF_PERIOD, NoiseModel, Sea
-from oed_sysid.likelihood.projection import gain_within
-from oed_sysid.likelihood.score_test import TIMES, ScoreTest, Setting, Start, moved, posed
+from oed_sysid.likelihood.score_test import TIMES, Scored, ScoreTest, Setting, Start, moved, posed
 from oed_sysid.likelihood.shooting import Point
 
 # Gain in twice the log-likelihood from which another kind of noise is worth its freedom, twice that
@@ -345,92 +344,6 @@ def _worth(found: FilteredSolution, again: FilteredSolution) -> FilteredSolution
     return found if 2.0 * (found.restricted - again.restricted) < WORTH else again
 
 
-@dataclass(frozen=True, eq=False)
-class _Scored:
-    """A solution with the derivatives of every innovation, at which further noise is tested.
-
-    Noise of variance zero leaves the filter as it is. What it adds to the equations are the
-    derivatives of the innovations by its variances, and their products with those that are there:
-    one pass with these tangents alone.
-
-    Attributes
-    ----------
-    problem : Filtered
-    unknowns : ndarray (n_unknowns,)
-    passes : sequence of FilterPass
-        With the derivatives of every innovation.
-    """
-
-    problem: Filtered
-    unknowns: np.ndarray
-    passes: Sequence[FilterPass]
-
-    @classmethod
-    def at(cls, found: FilteredSolution, longest_hold: float | None = None) -> _Scored:
-        """The end of an estimation, forces perhaps held over shorter steps."""
-        problem, unknowns = found.problem, found.point.unknowns
-        if longest_hold is not None:
-            problem = problem.posed(longest_hold=longest_hold)
-        return cls(problem, unknowns, problem.passes(unknowns, rows=True))
-
-    def gain(self, wide: Filtered, names: Sequence[str]) -> tuple[float, np.ndarray]:
-        """What some variances that are zero would gain, everything else following, and the step.
-
-        Parameters
-        ----------
-        wide : Filtered
-            The same problem with these variances among its levels.
-        names : sequence of str
-            Theirs, as :attr:`~oed_sysid.likelihood.noise_model.Levels.names` has them.
-
-        Returns
-        -------
-        gain : float
-            In twice the log-likelihood.
-        variances : ndarray (n_names,)
-            To begin with, in squared units of their places.
-        """
-        problem = self.problem
-        new = wide.levels.only(np.isin(wide.levels.names, names))
-        alone = wide.posed(new, longest_hold=problem.longest_hold)
-        begin = alone.beside(self.unknowns).unknowns
-        passes = alone.passes(begin, levels_only=True, rows=True)
-        if not all(part.ok for part in passes):
-            return 0.0, np.zeros(len(names))
-        matrix, right = self._equations(passes, alone.levels.scale)
-        limits, nothing = problem.limits, np.zeros(len(names))
-        own = len(self.unknowns)
-        lower = np.append(limits.lower - self.unknowns, nothing)
-        upper = np.append(limits.upper - self.unknowns, nothing)
-        _, without = gain_within(matrix, right, lower, upper)
-        upper[own:] = np.inf
-        step, gain = gain_within(matrix, right, lower, upper)
-        return gain - without, np.maximum(step[own:], 0.0) * alone.levels.scale
-
-    def _equations(
-        self, passes: Sequence[FilterPass], scale: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Matrix and right-hand side of all unknowns, priors in both, variances of passes last."""
-        problem, unknowns, n_new = self.problem, self.unknowns, len(scale)
-        told = problem.gathered(unknowns, self.passes)
-        known, right = problem.limits.with_priors(*told, unknowns)
-        cross, new = np.zeros((len(right), n_new)), np.zeros((n_new, n_new))
-        slope, levels = np.zeros(n_new), problem.layout.levels
-        for index, (part, more) in enumerate(zip(self.passes, passes, strict=True)):
-            where, size = problem.columns_of(unknowns, index)
-            assert part.rows is not None
-            assert more.rows is not None
-            seen = np.isfinite(part.innovations)
-            rows, added = part.rows[seen], more.rows[seen]
-            cross[where] += size[:, None] * (rows[:, : len(where)].T @ added[:, :n_new])
-            spread = 0.5 * rows[:, len(where) :].T @ added[:, n_new:]
-            cross[levels] += problem.levels.scale[:, None] * spread
-            new += more.gram[:-1, :-1] + more.level_information
-            slope -= more.gram[:-1, -1] + more.level_slope
-        cross, new = cross * scale, new * scale[:, None] * scale
-        return np.block([[known, cross], [cross.T, new]]), np.append(right, slope * scale)
-
-
 def _joined(
     found: FilteredSolution,
     setting: Setting,
@@ -449,7 +362,7 @@ def _joined(
     noise, least, begin = found.noise, WORTH, None
     if not places:
         return found
-    scored = _Scored.at(found)
+    scored = Scored.at(found)
     for time in times:
         wide = noise.with_places(places, time)
         gain, variances = scored.gain(posed_at(wide), [f"{place} level" for place in places])
@@ -689,7 +602,7 @@ def _likely_periods(
     if not tried:
         return [found.problem.records[0].duration / 8] if setting.seas else []
     sample = max(record.sample_time for record in found.problem.records)
-    scored = cache(lambda count: _Scored.at(found, sample / count))
+    scored = cache(lambda count: Scored.at(found, sample / count))
     own, names = _own_times(found, found.noise), [f"sea {place} level" for place in places]
 
     def gain(period: float) -> float:

@@ -1,4 +1,9 @@
-r"""What stays the same while the noise of some records is looked for.
+r"""What stays the same while the noise of some records is looked for, and its score tests.
+
+At any point :class:`Scored` sums the equations of what is absent there beside those of everything
+that is estimated: noise whose variance is zero, or functions that a disturbance may be of
+(:mod:`oed_sysid.likelihood.laws`). At a fit without process noise :func:`score_test` asks all
+levels at once.
 
 Do disturbance forces act? A test at a fit that takes all that is left for white noise.
 
@@ -22,13 +27,13 @@ Both come from one pass of the filter with all these variances at zero, where no
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
 
-from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
+from oed_sysid.compiled.filtering import FilterKernel, FilterPass, filter_kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import SimulationError
 from oed_sysid.likelihood.departures import TWOFOLD
@@ -48,7 +53,7 @@ from oed_sysid.likelihood.noise_model import (
     Sea,
     disturbance_names,
 )
-from oed_sysid.likelihood.projection import gain_within
+from oed_sysid.likelihood.projection import gain_within, score_beside
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
@@ -262,6 +267,134 @@ def posed(
     return problem.posed(levels, longest_hold=longest_hold)
 
 
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """A point of a likelihood, at which the score of what is absent there is asked.
+
+    Attributes
+    ----------
+    problem : Filtered
+    unknowns : ndarray (n_unknowns,)
+    passes : sequence of FilterPass
+        With the derivatives of every innovation.
+    """
+
+    problem: Filtered
+    unknowns: np.ndarray
+    passes: Sequence[FilterPass]
+
+    @classmethod
+    def at(cls, found: FilteredSolution, longest_hold: float | None = None) -> Scored:
+        """The end of an estimation, forces perhaps held over shorter steps."""
+        problem, unknowns = found.problem, found.point.unknowns
+        if longest_hold is not None:
+            problem = problem.posed(longest_hold=longest_hold)
+        return cls(problem, unknowns, problem.passes(unknowns, rows=True))
+
+    @cached_property
+    def equations(self) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix and right-hand side of all unknowns, priors in both."""
+        told = self.problem.gathered(self.unknowns, self.passes)
+        return self.problem.limits.with_priors(*told, self.unknowns)
+
+    @cached_property
+    def scatter(self) -> float:
+        """Mean square of the innovations in standard deviations, where it exceeds one."""
+        squares = [part.innovations**2 / part.variances for part in self.passes]
+        return max(float(np.nanmean(np.concatenate(squares))), 1.0)
+
+    def beside(self, added: Iterable[np.ndarray], count: int) -> tuple[np.ndarray, np.ndarray]:
+        """The equations with ``count`` absent ones, last.
+
+        Parameters
+        ----------
+        added : iterable of ndarray (n_times, n_outputs, count or 2 count)
+            Per record, derivatives by what is absent of the innovations in standard deviations, and
+            of the logarithms of their variances behind these where there are any.
+        count : int
+        """
+        known, right = self.equations
+        levels, scale = self.problem.layout.levels, self.problem.levels.scale
+        cross, own, slope = np.zeros((len(right), count)), np.zeros((count, count)), np.zeros(count)
+        for index, (part, columns) in enumerate(zip(self.passes, added, strict=True)):
+            where, size = self.problem.columns_of(self.unknowns, index)
+            seen = np.isfinite(part.innovations)
+            white = part.innovations[seen] / np.sqrt(part.variances[seen])
+            assert part.rows is not None
+            rows, new = part.rows[seen], columns[seen]
+            mean, spread = new[:, :count], new[:, count:]
+            cross[where] += size[:, None] * (rows[:, : len(where)].T @ mean)
+            own += mean.T @ mean
+            slope -= mean.T @ white
+            if spread.size:  # of an innovation the variance tells half of what its mean does
+                cross[levels] += 0.5 * scale[:, None] * (rows[:, len(where) :].T @ spread)
+                own += 0.5 * spread.T @ spread
+                slope -= 0.5 * spread.T @ (1.0 - white**2)
+        return np.block([[known, cross], [cross.T, own]]), np.append(right, slope)
+
+    def score(
+        self, added: Iterable[np.ndarray], count: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Information, score and own information of absent ones, all over :attr:`scatter`.
+
+        Parameters
+        ----------
+        added, count
+            See :meth:`beside`.
+
+        Returns
+        -------
+        information : ndarray (count, count)
+            With everything estimated too.
+        score : ndarray (count,)
+        own : ndarray (count,)
+            The diagonal of the information if everything were known.
+        """
+        matrix, right = self.beside(added, count)
+        absent = len(self.unknowns) + np.arange(count)
+        found = score_beside(matrix, right, absent, self.problem.open_unknowns(0))
+        information, score, own = (one / self.scatter for one in (*found, np.diag(matrix)[absent]))
+        return information, score, own
+
+    def gain(self, wide: Filtered, names: Sequence[str]) -> tuple[float, np.ndarray]:
+        """What some variances that are zero would gain, everything else following, and the step.
+
+        Noise of variance zero leaves the filter as it is; one pass tells the derivatives of the
+        innovations by it.
+
+        Parameters
+        ----------
+        wide : Filtered
+            The same problem with these variances among its levels.
+        names : sequence of str
+            Theirs, as :attr:`~oed_sysid.likelihood.noise_model.Levels.names` has them.
+
+        Returns
+        -------
+        gain : float
+            In twice the log-likelihood.
+        variances : ndarray (n_names,)
+            To begin with, in squared units of their places.
+        """
+        problem, nothing = self.problem, np.zeros(len(names))
+        new = wide.levels.only(np.isin(wide.levels.names, names))
+        alone = wide.posed(new, longest_hold=problem.longest_hold)
+        begin = alone.beside(self.unknowns).unknowns
+        passes = alone.passes(begin, levels_only=True, rows=True)
+        if not all(part.ok for part in passes):
+            return 0.0, nothing
+        size = np.tile(new.scale, 2)
+        added = (part.rows * size for part in passes if part.rows is not None)
+        matrix, right = self.beside(added, len(names))
+        limits, own = problem.limits, len(self.unknowns)
+        lower = np.append(limits.lower - self.unknowns, nothing)
+        upper = np.append(limits.upper - self.unknowns, nothing)
+        _, without = gain_within(matrix, right, lower, upper)
+        upper[own:] = np.inf
+        step, gain = gain_within(matrix, right, lower, upper)
+        return gain - without, np.maximum(step[own:], 0.0) * new.scale
+
+
 def moved(
     found: FilteredSolution, problem: Filtered, most: int, tolerance: float = FROZEN_TOLERANCE
 ) -> FilteredSolution:
@@ -368,11 +501,10 @@ def _score_at(setting: Setting, start: Start, dataset: Dataset, time: float) -> 
     vast = ScoreTest(np.inf, quiet, one)
     if not all(part.ok for part in found):
         return vast
-    count, size = len(levels), levels.scale
+    count, block = len(levels), problem.layout.levels
     with np.errstate(over="ignore", invalid="ignore"):
-        matrix = sum(part.gram[:-1, :-1] + part.level_information for part in found)
-        matrix = matrix * size[:, None] * size
-        right = -sum(part.gram[:-1, -1] + part.level_slope for part in found) * size
+        matrix, right = problem.gathered(unknowns, found)
+    matrix, right = matrix[block, block], right[block]
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
         return vast
     white = np.zeros(count, dtype=bool)
