@@ -33,7 +33,6 @@ from oed_sysid.evidence.residual_forces import (
 from oed_sysid.evidence.traces import LEAST, RELATIVE
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.disturbances import Place, places
-from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import FEW, NEAR, FilteredSolution, Iterate, solve_filtered
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
@@ -47,8 +46,6 @@ CORRELATION_TIMES = (1.0, 20.0)
 CLEAR = threshold(14, 1)
 # Candidates whose signatures are put beside the residual forces.
 N_RIVALS = 2
-# Most steps of the fit to white noise and of a place that is estimated to the end.
-MOST_STEPS = 20
 # Pieces into which records are cut where the model diverges along them.
 PIECES = 1, 2, 4, 8
 
@@ -370,10 +367,9 @@ class _Bench:
         self.unknown = np.array([output.noise_std is None for output in model.outputs])
         noise = NoiseModel.white_only(white, model.output_names)
         levels = Levels.of(noise, noise, white=self.unknown)
-        known = fit.problem.known_starts if pieces == 1 else None
-        problem = Filtered(model, dataset, levels, kernel=fit.problem.kernel, known_starts=known)
+        problem = fit.problem.posed(levels, model=model, dataset=dataset)
         point = problem.point(initial, local)
-        self.quiet = solve_filtered(problem, point, max_iterations=MOST_STEPS, polish=0)
+        self.quiet = solve_filtered(problem, point, polish=0)
         ends = (point.unknowns, self.quiet.point.unknowns)
         self.starts = [unknowns[: problem.layout.levels.start] for unknowns in ends]
 
@@ -389,7 +385,8 @@ class _Bench:
         least = CLEAR
         for index, part in enumerate(found):
             if part.fit.reason == "iterations" and part.reach > least:
-                end = solved(part.fit, MOST_STEPS, tolerance=NEAR)
+                here = part.fit.problem, part.fit.point
+                end = solve_filtered(*here, tolerance=NEAR, polish=0, begin=part.fit.now)
                 found[index] = replace(part, fit=end.finite or part.fit)
             least = max(least, found[index].gain - GROUP_WIDTH)
         return sorted(found, key=lambda part: -part.gain)
@@ -427,18 +424,10 @@ class _Bench:
     def _levels(self, place: Place, size: float) -> Levels:
         """The level and time of one place unknown, and what nobody declared of the sensors."""
         noise = self.quiet.noise
-        acting = [] if place.stage == "sensor" else [place]
-        colour = np.array([not acting and name == place.signal for name in noise.outputs])
+        colour = np.array([place.name == f"sensor {name}" for name in noise.outputs])
         time = float(np.sqrt(np.prod(CORRELATION_TIMES)))
-        begin = NoiseModel(
-            noise.white,
-            np.where(colour, size, 0.0),
-            np.full(len(acting), size),
-            time,
-            time,
-            noise.outputs,
-            tuple(one.name for one in acting),
-        )
+        begin = replace(noise, colour=np.where(colour, size, 0.0), colour_time=time)
+        begin = begin.with_places([] if any(colour) else [place.name], time, size)
         return Levels.of(
             begin,
             replace(begin, colour=np.full(len(colour), size)),
@@ -451,11 +440,11 @@ class _Bench:
 
 def _cut(
     fit: FilteredSolution, pieces: int
-) -> tuple[Dataset, list[np.ndarray], list[dict[str, float]]]:
-    """Records of a fit, each in some pieces, with start states along the filtered path."""
+) -> tuple[Dataset | None, list[np.ndarray], list[dict[str, float]]]:
+    """Records of a fit in some pieces, None as they are, with start states on the filtered path."""
     problem = fit.problem
     if pieces == 1:
-        return problem.dataset, fit.initial, list(fit.local)
+        return None, fit.initial, fit.local
     passes = problem.passes(fit.point.unknowns, columns=False)
     records, initial, local = [], [], []
     for record, part, own in zip(problem.records, passes, fit.local, strict=True):

@@ -33,6 +33,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.study import Study
+from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.laws import KNOTS, Law, laws
@@ -43,8 +44,6 @@ from oed_sysid.runtime.display import as_dict
 # Twice the log-likelihood that disturbances may gain before they count as real: what chance rarely
 # gives of a level and its time at fourteen places.
 REMAINDER_LIMIT = threshold(14, 2)
-# A level on other records that differs by more than this factor is tied to the manoeuvre.
-SAME_LEVEL = 2.0
 # Parts of the training records in which a disturbance has to be the same: those between the knots
 # of functions of the time.
 PARTS = KNOTS - 1
@@ -95,7 +94,7 @@ class RandomForceFound:
 
         Level and time of a short force are told together only, and each badly where records are
         short: levels that differ say nothing where the records are as likely with the same ones.
-        Another day has another sea.
+        Another day has another sea. One that differs by more is tied to the manoeuvre.
         """
         asked = self.told and not self.narrow_band and not np.isnan(self.elsewhere)
         return not asked or _same(self.level, self.elsewhere)
@@ -124,8 +123,8 @@ class RandomForceFound:
 
 
 def _same(*levels: float) -> bool:
-    """Whether levels are about the same."""
-    return bool(min(levels) > 0 and max(levels) / min(levels) < SAME_LEVEL)
+    """Whether levels are about the same; else what acts is tied to a manoeuvre or a time."""
+    return bool(min(levels) > 0 and max(levels) / min(levels) < TWOFOLD)
 
 
 @dataclass(frozen=True)

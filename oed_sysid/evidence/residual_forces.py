@@ -73,16 +73,14 @@ def let_in(
     """
     old, near = fit.problem, near or fit
     noise = near.noise
-    known = dict(zip(unit.places, unit.force, strict=True))
+    # A sea, or noise of a logged input, stands in the place of forces.
     more = [place for place in unit.places if place not in noise.places]
-    places = (*noise.places, *more)
-    least = np.array([LEAST_FORCE * known.get(place, 0.0) for place in places])
-    noise = replace(  # a sea, or noise of a logged input, stands in the place of forces
+    noise = noise.with_places(more, [unit.level(place)[1] for place in more])
+    least = [LEAST_FORCE * unit.level(place)[0] for place in noise.places]
+    noise = replace(
         noise,
         white=np.maximum(noise.white, LEAST_WHITE * unit.white),
-        force=np.maximum(np.append(noise.force, np.zeros(len(more))), least),
-        force_time=np.append(noise.force_time, [unit.level(place)[1] for place in more]),
-        places=places,
+        force=np.maximum(noise.force, least),
     )
     model = old.model.with_values(
         {name: value for name, value in near.values.items() if name in old.model.values}

@@ -23,7 +23,7 @@ module                          subject
 ``shooting``                    white sensors: nodes, condensed derivatives, losses
 ``captive``                     forces measured at given motion, in the same likelihood
 ``filtered``, ``random_forces`` process noise and autocorrelated sensors: filter, levels
-``score_test``                  whether process noise acts at all
+``score_test``                  whether process noise acts at all; scores of what is absent
 ``gauss_newton``                direction, step control, convergence: the one solver
 ``multiple_shooting``           from records to a fit: the estimator
 ``covariance``, ``summary``     what the end says about errors, as a :class:`~.fit.Fit`

@@ -292,7 +292,7 @@ def _sensitivities(fit: Estimate, index: int) -> tuple[Run, np.ndarray, np.ndarr
 
 
 # Factor within which a start value has to be what the other unit would give, noise of an input what
-# its log shows, and an error that of another fit.
+# its log shows, an error that of another fit, and a disturbance on other records the same.
 TWOFOLD = 2.0
 # Change of the outputs, in noise levels, below which two runs are the same.
 SAME = 0.1

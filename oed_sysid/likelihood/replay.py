@@ -30,13 +30,12 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import OedSysidError
-from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import solve_filtered
 from oed_sysid.likelihood.information import effective_sample_size
+from oed_sysid.likelihood.laws import posed_again
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import residual_levels
-from oed_sysid.likelihood.noise_model import Levels
 from oed_sysid.likelihood.whole_runs import rms, whole_runs
 from oed_sysid.physics.model import Model
 
@@ -85,13 +84,12 @@ def replayed(fit: Fit) -> Fit:
         return next((end.model for end in _fits(tempered, (calm.model,), rest)), None)
 
     def disturbed(kept: Sequence[int], rest: Dataset) -> Model | None:
-        held = Levels.of(fit.noise, fit.noise, seas=fit.noise.seas)
-        problem = Filtered(fit.model, rest, held)
         try:
+            problem, _ = posed_again(replace(fit, dataset=rest))
             found = solve_filtered(problem, problem.point([states[index] for index in kept]))
         except (OedSysidError, np.linalg.LinAlgError):
             return None
-        return None if found.finite is None else fit.model.with_values(found.values)
+        return None if found.finite is None else found.model
 
     with np.errstate(invalid="ignore"):
         gained = _left_out(disturbed, parts, noise) - _left_out(without, parts, noise)

@@ -38,7 +38,7 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import SimulationError
 from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.disturbances import Place, disturbance
-from oed_sysid.likelihood.filtered import Filtered, disturbed_model
+from oed_sysid.likelihood.filtered import FARTHEST, Filtered, disturbed_model
 from oed_sysid.likelihood.gauss_newton import (
     FROZEN_TOLERANCE,
     FilteredSolution,
@@ -407,8 +407,6 @@ def moved(
 TIMES = (5.0, 20.0, 60.0)
 # Gain in twice the log-likelihood from which disturbances count as real.
 CLEAR = 6.0
-# Share by which white levels may fall to make room.
-ROOM = 0.9
 # Samples from the start of each record that give the sizes of disturbances where the model on
 # its own diverges later.
 HEADS = (100, 30, 10)
@@ -509,8 +507,8 @@ def _score_at(setting: Setting, start: Start, dataset: Dataset, time: float) -> 
         return vast
     white = np.zeros(count, dtype=bool)
     white[n_forces : n_forces + n_outputs] = True
-    # White levels may fall to make room, and rise where nobody declared them.
-    lower = np.where(white, -ROOM, 0.0)
+    # White levels may fall to make room, as far as in a step, and rise where nobody declared them.
+    lower = np.where(white, 1.0 / FARTHEST - 1.0, 0.0)
     upper = np.full(count, np.inf)
     upper[white] = np.where(setting.estimated, np.inf, 0.0)
     step, both = gain_within(matrix, right, lower, upper)
