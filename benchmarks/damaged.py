@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.fuzz import mangled
 from benchmarks.harness import ROOT, Row, exam
 from oed_sysid.data import apart, formats
 
@@ -90,23 +91,9 @@ def damaged(rng: random.Random, content: bytes) -> bytes:
     """A log that was cut, overwritten, or whose parts were moved."""
     if content.startswith(b"PK") and rng.random() < 0.5:
         return _workbook(rng, content)
-    data = bytearray(content)
-    for _ in range(rng.choice((1, 1, 2, 4))):
-        at = rng.randrange(len(data)) if rng.random() < 0.6 else rng.randrange(min(400, len(data)))
-        length = rng.choice((1, 2, 4, 8, 64, 700))
-        kind = rng.random()
-        if kind < 0.2:
-            del data[max(at, 9) :]
-        elif kind < 0.45:
-            data[at : at + length] = rng.randbytes(length)
-        elif kind < 0.65:  # a length, a number or a text that has no end
-            data[at : at + length] = rng.choice((b"\0", b"\xff", b"\x7f", b"9")) * length
-        elif kind < 0.8:
-            del data[at : at + length]
-        else:
-            data[at:at] = data[rng.randrange(len(data)) :][:length] * rng.choice((1, 3, 200))
-        data = data or bytearray(b"\0")
-    return bytes(data)
+    return mangled(
+        rng, content, rng.randbytes, (b"\0", b"\xff", b"\x7f", b"9"), (1, 2, 4, 8, 64, 700)
+    )
 
 
 def _workbook(rng: random.Random, content: bytes) -> bytes:

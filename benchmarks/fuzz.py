@@ -2,10 +2,10 @@
 
     python -m benchmarks.fuzz --inputs 500000
 
-Inputs are grown from good ones: pieces are cut, doubled, swapped and replaced by
-pieces that have caused trouble somewhere (huge exponents, NaN, zero bytes, deep
-brackets). Counted are exceptions that are no ``OedSysidError``, by kind and
-place, and inputs that take longer than two seconds.
+Inputs are grown from good ones: pieces are cut, doubled and replaced by pieces that have caused
+trouble somewhere (huge exponents, NaN, zero bytes, deep brackets). Counted are exceptions that are
+no ``OedSysidError`` and inputs that take longer than two seconds. The same generator damages the
+binary logs of :mod:`benchmarks.damaged`.
 """
 
 from __future__ import annotations
@@ -17,10 +17,9 @@ import tempfile
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, AnyStr
 
 import numpy as np
 
@@ -36,7 +35,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from bad_input.problem_files import SOUND
 
-SLOW = 2.0  # s
+SLOW = 2.0  # s of computing
 # Share of the inputs, by what reads them.
 SHARES = {"units": 0.36, "notation": 0.2, "expressions": 0.3, "csv": 0.12, "results": 0.017}
 SHARES["problems"] = 1.0 - sum(SHARES.values())
@@ -49,35 +48,50 @@ lambda x.y x[0] f(*a) __import__('os') 2024-05-31T12:00:00 12:00:00 31.05.2024 [
 10**10**10 é µ ° ² ⁻ ∞ １ 𝛿
 """
 TROUBLE = (
-    *("", " ", "\t", "\n", "\r\n", "\0", "\ufeff", "\u00a0", *_WORDS.split()),
+    *(" ", "\t", "\n", "\r\n", "\0", "\ufeff", "\u00a0", *_WORDS.split()),
     *("9" * 400, "(" * 300, "-" * 300, "a" * 5000, "1+" * 2000),
 )
 
 
-def mangle(rng: random.Random, text: str, pieces: tuple[str, ...]) -> str:
-    """Change a text at one to three places."""
-    for _ in range(rng.choice((1, 1, 1, 2, 3))):
-        at = rng.randint(0, len(text))
-        until = min(len(text), at + rng.choice((0, 1, 1, 2, 5, 20)))
-        kind = rng.random()
-        if kind < 0.25:
-            piece = ""
-        elif kind < 0.5:
-            piece = rng.choice(TROUBLE)
-        elif kind < 0.85:
-            piece = rng.choice(pieces)
+def mangled(
+    rng: random.Random,
+    content: AnyStr,
+    noise: Callable[[int], AnyStr],
+    trouble: Sequence[AnyStr] = TROUBLE,
+    lengths: Sequence[int] = (0, 1, 2, 5, 20),
+) -> AnyStr:
+    """A text or a file that is cut off, overwritten with noise or trouble, cut out or repeated."""
+    for _ in range(rng.choice((1, 1, 2, 4))):
+        # Some near the beginning, which says how the rest is to be read.
+        every, first = len(content), min(400, len(content))
+        at = rng.randrange(every) if rng.random() < 0.6 else rng.randrange(first)
+        length, kind = rng.choice(lengths), rng.random()
+        if kind < 0.2:
+            content = content[: max(at, 9)]
+        elif kind < 0.45:
+            content = content[:at] + noise(length) + content[at + length :]
+        elif kind < 0.65:  # a length, a number or a text that has no end
+            content = content[:at] + rng.choice(trouble) * length + content[at + length :]
+        elif kind < 0.8:
+            content = content[:at] + content[at + length :]
         else:
-            piece = text[at:until] * rng.randint(2, 4)
-        text = text[:at] + piece + text[until:]
-    return text
+            again = content[rng.randrange(every) :][:length] * rng.choice((1, 3, 200))
+            content = content[:at] + again + content[at:]
+        content = content or trouble[0]
+    return content
+
+
+def spelt(rng: random.Random, pieces: Sequence[str]) -> Callable[[int], str]:
+    """Noise of some pieces."""
+    return lambda count: "".join(rng.choices(pieces, k=count))
 
 
 def drawn(rng: random.Random, good: Sequence[str], pieces: tuple[str, ...], most: int) -> str:
     """A text of random pieces, or a good one that is mangled."""
-    seed = rng.choice(good)
+    noise = spelt(rng, pieces)
     if rng.random() < 0.5:
-        return "".join(rng.choice(pieces) for _ in range(rng.randint(1, most)))
-    return mangle(rng, seed, pieces)
+        return noise(rng.randint(1, most))
+    return mangled(rng, rng.choice(good), noise)
 
 
 _UNITS = "m s kg rad deg N kn rpm degC V Ohm Hz mN % 1 / * · ^ ** 2 -1 -2 ^2 ^(1/2) ^0.5 m2 s-1"
@@ -154,12 +168,11 @@ class Files:
 
     def log(self, rng: random.Random) -> str:
         """A log in CSV."""
-        text = mangle(rng, LOG, CSV_PIECES)
+        text = mangled(rng, LOG, spelt(rng, CSV_PIECES))
         encoding = rng.choice(("utf-8", "utf-8", "utf-8", "utf-16", "latin-1", "utf-8-sig"))
         content = text.encode(encoding, errors="replace")
         if rng.random() < 0.2:
-            at = rng.randint(0, len(content))
-            content = content[:at] + rng.randbytes(rng.randint(0, 4)) + content[at:]
+            content = mangled(rng, content, rng.randbytes, (b"\0", b"\xff"))
         (self.folder / "log.csv").write_bytes(content)
         record = read_csv(self.folder / "log.csv", CHANNELS)[0]
         assert np.all(np.diff(record.times) > 0)
@@ -170,7 +183,8 @@ class Files:
     def result(self, rng: random.Random) -> str:
         """A saved fit, damaged as text or in its structure."""
         if rng.random() < 0.3:
-            text = mangle(rng, self.text, ("null", "[", "]", "1e999", '{"class": "Fit"}', ", "))
+            pieces = ("null", "[", "]", "1e999", '{"class": "Fit"}', ", ")
+            text = mangled(rng, self.text, spelt(rng, pieces))
         else:
             data = json.loads(self.text)
             for _ in range(rng.randint(1, 3)):
@@ -220,62 +234,10 @@ def damage(rng: random.Random, data: Any) -> None:
         data[key] = choice
 
 
-@dataclass
-class Tally:
-    """What came out."""
-
-    inputs: Counter[str] = field(default_factory=Counter)
-    accepted: Counter[str] = field(default_factory=Counter)
-    uncaught: Counter[tuple[str, str, str]] = field(default_factory=Counter)
-    examples: dict[tuple[str, str, str], int] = field(default_factory=dict)
-    slow: Counter[str] = field(default_factory=Counter)
-
-
-def run(n_inputs: int, *, seed: int = 0, shares: Mapping[str, float] = SHARES) -> Tally:
-    """Give random inputs to every reader and count what comes out.
-
-    Parameters
-    ----------
-    n_inputs : int
-        All together.
-    seed : int
-        The same seed gives the same inputs; input ``i`` of a target is that of
-        ``random.Random(f"{seed}-{target}-{i}")``.
-    shares : mapping of str to float
-        Part of each target.
-    """
-    tally = Tally()
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        files = Files(Path(folder))
-        targets: dict[str, Callable[[random.Random], str]] = {
-            "units": read_unit,
-            "notation": read_name,
-            "expressions": read_expression,
-            "csv": files.log,
-            "results": files.result,
-            "problems": files.problem,
-        }
-        for name, share in shares.items():
-            for number in range(round(share * n_inputs)):
-                began = time.perf_counter()
-                tally.inputs[name] += 1
-                try:
-                    targets[name](random.Random(f"{seed}-{name}-{number}"))
-                    tally.accepted[name] += 1
-                except OedSysidError:
-                    pass
-                except Exception as error:
-                    kind = (name, type(error).__name__, places_of(error)[-1])
-                    tally.uncaught[kind] += 1
-                    tally.examples.setdefault(kind, number)
-                if time.perf_counter() - began > SLOW:
-                    tally.slow[name] += 1
-    return tally
-
-
 def counted(*, inputs: int = 20_000, seed: int = 0, only: str = "") -> list[Row]:
-    """What comes out of each reader; kinds of what was uncaught are printed.
+    """What comes out of each reader; what was uncaught is printed.
+
+    The same seed gives the same inputs: each is that of ``random.Random("SEED-READER-NUMBER")``.
 
     Parameters
     ----------
@@ -286,17 +248,29 @@ def counted(*, inputs: int = 20_000, seed: int = 0, only: str = "") -> list[Row]
     only : str
         one reader only
     """
-    shares = {known(only, SHARES, "reader"): 1.0} if only else SHARES
-    tally = run(inputs, seed=seed, shares=shares)
     rows = list[Row]()
-    for name, count in tally.inputs.items():
-        faults = sum(n for (target, _, _), n in tally.uncaught.items() if target == name)
-        accepted = tally.accepted[name]
-        rows.append({"reader": name, "inputs": count, "accepted": accepted,
-                     "refused": count - accepted - faults, "uncaught": faults,
-                     "slower than 2 s": tally.slow[name]})  # fmt: skip
-    for kind, count in tally.uncaught.most_common():
-        print(f"{count} x {' '.join(kind)}, first at input {tally.examples[kind]}")
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        files = Files(Path(folder))
+        readers: dict[str, Callable[[random.Random], str]] = {
+            "units": read_unit, "notation": read_name, "expressions": read_expression,
+            "csv": files.log, "results": files.result, "problems": files.problem,
+        }  # fmt: skip
+        for name, share in ({known(only, SHARES, "reader"): 1.0} if only else SHARES).items():
+            ended = Counter[str]()
+            for number in range(round(share * inputs)):
+                began = time.process_time()
+                try:
+                    readers[name](random.Random(f"{seed}-{name}-{number}"))
+                    ended["accepted"] += 1
+                except OedSysidError:
+                    ended["refused"] += 1
+                except Exception as error:
+                    ended["uncaught"] += 1
+                    print(f"{name} {number}: {type(error).__name__} in {places_of(error)[-1]}")
+                ended["slower than 2 s"] += time.process_time() - began > SLOW
+            said = {w: ended[w] for w in ("accepted", "refused", "uncaught", "slower than 2 s")}
+            rows.append({"reader": name, "inputs": round(share * inputs), **said})
     return rows
 
 

@@ -1,7 +1,7 @@
-"""Hidden effects, whoever simulates: what a search claims, what could be found, how often it is.
+"""Hide, improve, judge: what a search claims, what could be found, how often it is.
 
-:func:`searched` runs and reads a search, and :func:`as_markdown` tells its measures. A benchmark
-brings its cases, what could have been found in them (``detectable``), and the rates that it wants.
+A study brings its cases and what could have been found in them (``detectable``); :func:`judged`
+runs and reads the search of one, and :func:`table` tells how often it was right.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import TWO_SIDED_95, Row, markdown, places_of
+from benchmarks.harness import TWO_SIDED_95, Row, grouped, markdown, places_of, table_of
 from oed_sysid import Dataset, Model, improve
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.physics import Effect
@@ -22,36 +22,9 @@ from oed_sysid.physics import Effect
 Entry = Mapping[str, Any]
 LARGEST_GROUP = 3
 AS_GOOD = 1.05  # error of a model over that of the true structure, up to which it is as good
-
-
-def _rate(
-    name: str, value: float, count: int, target: str, low: float = np.nan, high: float = np.nan
-) -> Row:
-    """A number, of how many cases, its 95 % interval if it is a share, and what is wanted."""
-    row = {"name": name, "value": value, "count": count}
-    return row | {"low": low, "high": high, "target": target}
-
-
-def share(
-    name: str, is_so: Callable[[Entry], Any], entries: Sequence[Entry], target: str = ""
-) -> Row:
-    """Share of cases of which something is so, with Wilson's interval."""
-    n = len(entries)
-    if n == 0:
-        return _rate(name, np.nan, 0, target)
-    value = sum(bool(is_so(entry)) for entry in entries) / n
-    z = TWO_SIDED_95
-    centre = (value + z**2 / (2 * n)) / (1 + z**2 / n)
-    half = z * np.sqrt(value * (1 - value) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
-    low, high = max(float(centre - half), 0.0), min(float(centre + half), 1.0)
-    return _rate(name, value, n, target, low, high)
-
-
-def number(name: str, values: Iterable[float], percent: float, target: str = "") -> Row:
-    """Percentile of numbers that are no share."""
-    known = list(values)
-    value = float(np.percentile(known, percent)) if known else np.nan
-    return _rate(name, value, len(known), target)
+# Conditions of the diving plane in which less is aimed at: noise and forces with a memory.
+DISTURBED = ("colour", "force", "gust")
+RISE = 1.02  # validation error after a claim over that before, from which the two contradict
 
 
 def finite(value: float) -> float | str:
@@ -142,9 +115,46 @@ def detectable(gains: Iterable[float], needed: float) -> bool:
     return all(gain >= needed for gain in gains)
 
 
+def judged(
+    entry: Row,
+    model: Model,
+    records: tuple[Dataset, Dataset],
+    offered: Sequence[Effect] | None,
+    truth: Callable[[Improvement | None], Row],
+    *,
+    limit: float = 600.0,
+) -> Row:
+    """A case after its nominal model was improved, compared with what is true.
+
+    Parameters
+    ----------
+    entry : dict
+        What is known of the case before.
+    model, records, offered, limit
+        See :func:`searched`.
+    truth : callable
+        What is true, from what was found.
+    """
+    found, told = searched(model, *records, offered, limit=limit)
+    entry = entry | told
+    try:
+        with at_most(limit):
+            return entry | truth(found)
+    except Exception as error:  # a case that breaks is a result too
+        return entry | {"truth_error": f"{type(error).__name__}: {error}"}
+
+
+# -- what is so of a case ---------------------------------------------------------------
+
+
 def claims(entry: Entry) -> bool:
     """Whether anything is claimed."""
     return bool(entry.get("steps"))
+
+
+def aborted(entry: Entry) -> bool:
+    """Whether the improvement ended without a result."""
+    return "error" in entry
 
 
 def names_of(entry: Entry, name: str) -> set[str]:
@@ -157,91 +167,243 @@ def _right(entry: Entry) -> set[str]:
     return set().union(*(names_of(entry, name) for name in entry["effects"]))
 
 
+def _named(step: Row) -> set[str]:
+    """What a claim names: its effect, and its group if that has no more than three."""
+    group = set(step["group"])
+    return {step["added"]} | (group if len(group) <= LARGEST_GROUP else set())
+
+
 def right_first(entry: Entry) -> bool:
     """Whether the first effect claimed is one of the hidden ones."""
     return claims(entry) and entry["steps"][0]["added"] in _right(entry)
 
 
 def right_group(entry: Entry) -> bool:
-    """Whether a hidden effect is the first claimed, or in its group of at most three."""
+    """Whether a hidden effect is the first claimed, or in its group."""
+    return claims(entry) and bool(_named(entry["steps"][0]) & _right(entry))
+
+
+def accepted(entry: Entry) -> bool:
+    """Whether every hidden effect is claimed, itself or in a group."""
+    named = set().union(*map(_named, entry.get("steps", ())))
+    return all(named & names_of(entry, name) for name in entry["effects"])
+
+
+def nothing_else(entry: Entry) -> bool:
+    """Whether all that is hidden, itself or in a group, and nothing else is claimed."""
+    return accepted(entry) and len(entry.get("steps", ())) == len(entry["effects"])
+
+
+def ratio(entry: Entry) -> float:
+    """Validation error of what was found over that of the true structure; NaN without both."""
+    found = entry.get("found_validation", entry.get("final_error", {}).get("test", np.nan))
+    true = float(entry.get("true_validation", entry.get("true_test_error", np.nan)))
+    return float(found) / true if np.isfinite(true) and true > 0 else np.nan
+
+
+def as_good(entry: Entry) -> bool:
+    """Whether what was found predicts as well as the true structure."""
+    return ratio(entry) <= AS_GOOD
+
+
+def right_equation(entry: Entry) -> bool:
+    """Whether what was added acts on the axis of the hidden term, and nowhere else."""
+    return {step["equation"] for step in entry.get("steps", ())} == {entry["axis"]}
+
+
+def contradicts(entry: Entry) -> bool:
+    """Whether a claim stands beside a validation error that rises with it, or is no number."""
     if not claims(entry):
         return False
-    group = set(entry["steps"][0]["group"])
-    return right_first(entry) or (len(group) <= LARGEST_GROUP and bool(group & _right(entry)))
+    before = float(entry["base_error"].get("test", np.nan))
+    for step in entry["steps"]:
+        after = float(step.get("test_error", before))  # of older rows nothing is known
+        # From an infinite error anything finite is an improvement.
+        if not np.isfinite(after) or (np.isfinite(before) and after > RISE * before):
+            return True
+        before = after
+    return False
 
 
-def of_kind(entries: Iterable[Entry], hidden: str, *conditions: str) -> list[Entry]:
-    """Cases that hide so much under conditions that begin so; under any without conditions."""
-    starts = conditions or ("",)
-    return [e for e in entries if e["hidden"] == hidden and e["condition"].startswith(starts)]
-
-
-def first_claim(entry: Entry) -> str:
-    """What a case ended in."""
-    if "error" in entry:
-        return "an abort"
-    return str(entry["steps"][0]["added"]) if claims(entry) else "nothing"
+def faults(entry: Entry) -> list[str]:
+    """What went wrong in a case, in words; empty where nothing did."""
+    found = []
+    if aborted(entry):
+        found.append(f"aborted: {entry['error']}")
+    elif entry["hidden"] == "none":
+        found += ["false claim"] * claims(entry)
+    elif entry["hidden"] == "unknown":  # whose name no candidate has
+        found += ["worse than the true term"] * (entry["detectable"] and not as_good(entry))
+    elif entry["detectable"]:
+        if not claims(entry):
+            found.append("refused")
+        elif not accepted(entry):
+            found.append("one of two missed" if right_group(entry) else "wrong effect")
+        elif not right_group(entry):
+            found.append("wrong effect first")
+        elif not nothing_else(entry):
+            found.append("claims too much")
+    return found + ["claim beside a validation error that rises"] * contradicts(entry)
 
 
 def summary(entry: Entry) -> str:
     """One case in one line."""
     hidden = " + ".join(entry["effects"]) or "nothing"
     sight = "" if entry.get("detectable") else " (invisible)"
-    if "error" in entry:
+    if aborted(entry):
         return f"{entry['key']} {hidden}{sight} -> FAILED {entry['error'][:120]}"
     added = " + ".join(step["added"] for step in entry["steps"]) or "nothing"
     return f"{entry['key']} {hidden}{sight} -> {added} ({entry['processor_seconds']:.1f} s)"
 
 
-def by_effect(entries: Iterable[Entry]) -> list[dict[str, Any]]:
+# -- how often ---------------------------------------------------------------------------
+
+
+def _rate(
+    name: str, value: float, count: int, target: str = "", low: float = np.nan, high: float = np.nan
+) -> Row:
+    """A number, of how many cases, its 95 % interval if it is a share, and what is wanted."""
+    row = {"name": name, "value": value, "count": count}
+    return row | {"low": low, "high": high, "target": target}
+
+
+def share(
+    name: str, is_so: Callable[[Entry], Any], entries: Sequence[Entry], target: str = ""
+) -> Row:
+    """Share of cases of which something is so, with Wilson's interval."""
+    n = len(entries)
+    if n == 0:
+        return _rate(name, np.nan, 0, target)
+    value = sum(bool(is_so(entry)) for entry in entries) / n
+    z = TWO_SIDED_95
+    centre = (value + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z * np.sqrt(value * (1 - value) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
+    low, high = max(float(centre - half), 0.0), min(float(centre + half), 1.0)
+    return _rate(name, value, n, target, low, high)
+
+
+def _percentiles(name: str, values: Iterable[float], targets: tuple[str, str]) -> list[Row]:
+    """Median and 90 % quantile of numbers that are no share."""
+    known = [value for value in values if not np.isnan(value)]
+    found = np.percentile(known or [np.nan], (50, 90)).tolist()
+    return [
+        _rate(f"{name}: {percent} %", value, len(known), target)
+        for percent, value, target in zip((50, 90), found, targets, strict=True)
+    ]
+
+
+def measures(entries: Sequence[Entry]) -> dict[str, Any]:
+    """All measures of a study, as plain data.
+
+    Keys: ``n_cases``, ``rates`` (see :func:`share`), ``by_effect``, ``failures``.
+    """
+    kinds = {"all": list(entries)}
+    for key in ("vehicle", "condition"):
+        groups = grouped(entries, lambda entry, key=key: entry.get(key, ""))
+        kinds |= groups if len(groups) > 1 else {}
+    if any(not entry.get("declared", True) for entry in entries):
+        words = {True: "noise declared", False: "noise not declared"}
+        kinds |= grouped(entries, lambda entry: words[entry["declared"]])
+    rates = [rate for name, own in kinds.items() for rate in _of_group(name, own)]
+    return {
+        "n_cases": len(entries),
+        "rates": [rate for rate in (*rates, *_of_all(entries)) if rate["count"]],
+        "by_effect": _by_effect(entries),
+        "failures": [_failure(entry) for entry in entries if faults(entry)],
+    }
+
+
+def _shown(entries: Iterable[Entry], *hidden: str) -> list[Entry]:
+    """Detectable cases that hide so much."""
+    return [e for e in entries if e["hidden"] in hidden and e.get("detectable")]
+
+
+def _of_group(name: str, entries: Sequence[Entry]) -> list[Row]:
+    """How often the improvement is right in one group of cases."""
+    seen, none = _shown(entries, "single"), [e for e in entries if e["hidden"] == "none"]
+    right, false = (">= 0.90", "<= 0.05") if name.startswith(DISTURBED) else (">= 0.95", "<= 0.02")
+    return [
+        share(f"{name}: right effect first", right_first, seen, right),
+        share(f"{name}: right effect accepted", accepted, seen, right),
+        share(f"{name}: right effect accepted and nothing else", nothing_else, seen),
+        share(f"{name}: nothing hidden: false claims", claims, none, false),
+    ]
+
+
+def _of_all(entries: Sequence[Entry]) -> list[Row]:
+    """Pairs, terms that no candidate names, contradictions, errors and times."""
+    pairs, terms = _shown(entries, "pair"), _shown(entries, "unknown")
+    hidden = [e for e in entries if e["hidden"] != "none"]
+    return [
+        share("two hidden: both accepted", accepted, pairs, ">= 0.85"),
+        share("two hidden: both accepted and nothing else", nothing_else, pairs),
+        share("two hidden: one of them first", right_group, pairs),
+        share("unknown effect: validation error <= 1.05 x true term's", as_good, terms, ">= 0.85"),
+        share("unknown effect: only the right equation is changed", right_equation,
+              [e for e in terms if "axis" in e], ">= 0.95"),
+        share("claim beside a validation error that rises", contradicts, entries, "0"),
+        share("hidden effects that are detectable", lambda e: e.get("detectable"), hidden),
+        share("no abort", lambda e: not aborted(e), entries, "1"),
+        *_percentiles("validation error, found over true structure",
+                      map(ratio, entries), ("<= 1.02", "<= 1.10")),
+        *_percentiles("processor seconds of a case",
+                      (e["processor_seconds"] for e in entries), ("<= 10", "")),
+    ]  # fmt: skip
+
+
+def _by_effect(entries: Iterable[Entry]) -> list[Row]:
     """Per vehicle and single hidden effect: cases, detectable ones, right ones, and rivals."""
+    single = grouped(
+        (e for e in entries if e["hidden"] == "single"),
+        lambda entry: (entry.get("vehicle", "diving plane"), *entry["effects"]),
+    )
     table = []
-    single = [(e.get("vehicle", ""), name, e) for e in entries for name in e["effects"]]
-    for vehicle, name in sorted({(vehicle, name) for vehicle, name, _ in single}):
-        own = [e for of, effect, e in single if (of, effect) == (vehicle, name)]
-        shown = [e for e in own if e["detectable"]]
-        wrong = {first_claim(e) for e in shown if not right_first(e)}
+    for (vehicle, name), own in sorted(single.items()):
+        seen = _shown(own, "single")
+        wrong = {
+            "an abort" if aborted(e) else e["steps"][0]["added"] if claims(e) else "nothing"
+            for e in seen
+            if not right_first(e)
+        }
         table.append(
             {
-                "vehicle": vehicle,
-                "effect": name,
-                "cases": len(own),
-                "detectable": len(shown),
-                "right_first": sum(map(right_first, shown)),
-                "right_group": sum(map(right_group, shown)),
-                "mistaken_for": sorted(wrong),
+                "vehicle": vehicle, "hidden effect": name, "cases": len(own),
+                "detectable": len(seen), "first": sum(map(right_first, seen)),
+                "or in its group": sum(map(right_group, seen)), "otherwise": sorted(wrong),
             }
-        )
+        )  # fmt: skip
     return table
 
 
-def as_markdown(
-    found: Mapping[str, Any],
-    effects: tuple[str, Mapping[str, str]],
-    failures: tuple[str, Mapping[str, str]],
-) -> str:
-    """Measures as Markdown: rates, then what became of every effect, then what went wrong.
+def _failure(entry: Entry) -> Row:
+    gains = entry.get("true_gains", {})
+    steps = entry.get("steps", ())
+    return {
+        "case": entry["key"],
+        "hidden": [f"{name} ({gains.get(name, np.nan):.0f})" for name in entry["effects"]]
+        or ["nothing"],
+        "claimed": [step["added"] for step in steps] or ["nothing"],
+        "first group": steps[0]["group"] if steps else [],
+        "refused": entry.get("rejected", []),
+        "error over true": ratio(entry),
+        "fault": faults(entry),
+    }
 
-    Parameters
-    ----------
-    found : mapping
-        ``n_cases``, ``rates``, ``by_effect``, ``failures`` and, where cases broke, ``broken``.
-    effects, failures : tuple of str and mapping
-        The sentence above either table, and the keys of its rows by their heads.
-    """
+
+def table(found: Mapping[str, Any]) -> str:
+    """Measures as Markdown: rates, then what became of every effect, then what went wrong."""
     rows = []
     for rate in found["rates"]:
         interval = "" if np.isnan(rate["low"]) else f"{rate['low']:.3f} to {rate['high']:.3f}"
-        value = f"{rate['value']:.3f}"
-        rows.append((rate["name"], value, interval, rate["count"], rate["target"]))
+        rows.append((rate["name"], f"{rate['value']:.3f}", interval, rate["count"], rate["target"]))
     head = ("measure", "value", "95 % interval", "cases", "target")
     lines = [f"{found['n_cases']} cases.", "", *markdown(head, rows)]
-    for (words, columns), table in ((effects, found["by_effect"]), (failures, found["failures"])):
-        cells = [[_cell(row[key]) for key in columns.values()] for row in table]
-        lines += ["", words, "", *markdown(list(columns), cells)] if cells else []
-    if found.get("broken"):
-        lines += ["", "Cases that broke:", ""]
-        lines += [f"- {row['case']}: {row['error']}" for row in found["broken"]]
+    for words, part in (
+        ("One hidden effect; of the detectable cases:", "by_effect"),
+        ("What went wrong (in brackets likelihood-ratio statistics of the truth):", "failures"),
+    ):
+        cells = [{name: _cell(value) for name, value in row.items()} for row in found[part]]
+        lines += ["", words, "", *table_of(cells)] if cells else []
     return "\n".join(lines)
 
 

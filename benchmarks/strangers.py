@@ -26,8 +26,7 @@ from scipy.linalg import expm, orth
 
 from benchmarks.harness import RESULTS, TWO_SIDED_95, Row, Store, grouped, study, tabulate
 from benchmarks.other_vehicles.judge import DETECTABLE
-from benchmarks.other_vehicles.measures import accepted as named
-from benchmarks.rates import searched, share, summary
+from benchmarks.rates import judged, nothing_else, share, summary
 from benchmarks.truth import gauss_markov, runge_kutta
 from oed_sysid import (
     Dataset,
@@ -39,6 +38,7 @@ from oed_sysid import (
     Record,
     State,
 )
+from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.physics import Effect, forces, signals
 
 STORE = RESULTS / "strangers.jsonl"
@@ -366,22 +366,20 @@ def drawn(seed: int, number: int) -> tuple[Row, Model, list[Record], list[Effect
 def judge(seed: int, number: int, limit: float) -> Row:
     """Draw one case, improve its nominal model, compare with what is hidden."""
     entry, model, (*train, last), offered = drawn(seed, number)
-    data = Dataset(tuple(train)), Dataset((last,))
-    found, told = searched(model, *data, offered, limit=limit)
-    if found is not None:
-        errors = found.fit.std_errors
-        told["remains"] = found.remains.kind
-        told["inside"] = [
-            bool(abs(found.fit.values[name] - size) < TWO_SIDED_95 * errors[name])
+
+    def against_truth(found: Improvement | None) -> Row:
+        if found is None:
+            return {}
+        values, errors = found.fit.values, found.fit.std_errors
+        inside = [
+            bool(abs(values[name] - size) < TWO_SIDED_95 * errors[name])
             for name, size in entry["sizes"].items()
             if name in errors
         ]
-    return entry | told
+        return {"remains": found.remains.kind, "inside": inside}
 
-
-def accepted(row: Row) -> bool:
-    """Whether all that is hidden, itself or in a group, and nothing else is claimed."""
-    return named(row) and len(row.get("steps", ())) == len(row["effects"])
+    data = Dataset(tuple(train)), Dataset((last,))
+    return judged(entry, model, data, offered, against_truth, limit=limit)
 
 
 def true_verdict(row: Row) -> bool:
@@ -422,9 +420,9 @@ def _table(title: str, groups: Mapping[str, list[Row]]) -> str:
     """Rates of groups as Markdown."""
     columns = {
         title: lambda name, _: name,
-        "accepted and nothing else": lambda _, g: _rate(_shown(g, "single", "pair"), accepted),
+        "accepted and nothing else": lambda _, g: _rate(_shown(g, "single", "pair"), nothing_else),
         "size in its interval": lambda _, g: _rate(
-            [{"in": ok} for row in g if accepted(row) for ok in row.get("inside", ())],
+            [{"in": ok} for row in g if nothing_else(row) for ok in row.get("inside", ())],
             lambda one: one["in"],
         ),
         "false claims, nothing hidden": lambda _, g: _rate(
@@ -432,7 +430,7 @@ def _table(title: str, groups: Mapping[str, list[Row]]) -> str:
         ),
         "unlisted: said or explained": lambda _, g: _rate(_shown(g, "unlisted"), true_verdict),
         "verdict true": lambda _, g: _rate(
-            [*_shown(g, "none"), *filter(accepted, _shown(g, "single", "pair"))], true_verdict
+            [*_shown(g, "none"), *filter(nothing_else, _shown(g, "single", "pair"))], true_verdict
         ),
         "aborted": lambda _, g: sum("error" in row for row in g),
     }

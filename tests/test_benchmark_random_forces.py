@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from benchmarks.harness import Store
 from benchmarks.random_forces import reference as cache
 from benchmarks.random_forces import trial
-from benchmarks.random_forces.measures import measure, missed, table
+from benchmarks.random_forces.measures import measure, table
 from benchmarks.random_forces.reference import (
     Structure,
     _Problem,
@@ -99,14 +96,6 @@ def test_samples_are_missing_as_stated() -> None:
     held = np.searchsorted(record.times, run.times, side="right") - 1
     np.testing.assert_array_equal(record.inputs[held], run.inputs)
     assert np.ptp(np.diff(record.times)) > 0.3
-
-
-def test_a_data_set_does_not_depend_on_how_many_there_are() -> None:
-    """Set 3 alone is set 3 of four."""
-    (*_, last), (alone,) = (simulate(short("medium"), 3, numbers) for numbers in (range(4), [3]))
-    np.testing.assert_allclose(alone.runs[0].outputs, last.runs[0].outputs, atol=1e-12)
-    assert alone.truth == last.truth
-    assert alone.fingerprint == pytest.approx(last.fingerprint, rel=1e-8)
 
 
 def test_unstable_vehicle_has_its_pole_and_is_steadied() -> None:
@@ -199,9 +188,7 @@ def test_one_fit_through_the_public_api() -> None:
     assert found.status == "converged"
     z = np.array([(found.estimates[n] - v) / found.std_errors[n] for n, v in data.truth.items()])
     assert np.abs(z).max() < 4.0
-    assert found.covered["fit"] > 0.9
-    assert np.mean([*found.by_output.values()]) == pytest.approx(found.covered["fit"])
-    assert found.seconds > 0.0
+    assert np.mean([*found.by_output.values()]) > 0.9
     assert set(found.estimates) == set(REMUS.believed)
 
 
@@ -216,27 +203,25 @@ def fake(number: int, offset: float, **changes: object) -> trial.Outcome:
         "status": "converged",
         "concerns": (),
         "force": None,
-        "covered": {"fit": 0.95, "first": 0.9},
         "seconds": 0.1,
     }
     return trial.Outcome(**{**values, **changes})  # type: ignore[arg-type]
 
 
 def test_measures_count_what_they_say() -> None:
-    """Coverage, z, warnings and the ratio to the reference of three made-up fits."""
-    scenario = SCENARIOS["medium"]
+    """Coverage, z, warnings and the ratio to the reference of three made-up fits; one that raised.
+
+    The latter counts against coverage and has an error of a hundred per cent.
+    """
     levels = dict(zip("XZM", [(0.11, 2.1), (0.3, 2.0), (0.12, 2.0)], strict=True))
     fits = [
-        fake(0, 1.0, force=levels),
+        fake(0, 1.0, force=levels, by_output={"u": 0.9, "z": 1.0}),
         fake(1, -1.0, force=levels),
         fake(2, 3.0, concerns=("spikes",), force=levels),
     ]
-    noise = {"force X": 0.1, "force Z": 0.3, "force M": 0.06, "force time": 3.0}
-    known = {
-        i: {"estimates": fake(i, 1.0).estimates | noise, "std_errors": fake(i, 1.0).std_errors}
-        for i in (0, 1)
-    }
-    found = measure(scenario, fits, known)
+    known = {i: {"estimates": fake(i, 1.0).estimates, "std_errors": fake(i, 1.0).std_errors}
+             for i in (0, 1)}  # fmt: skip
+    found = measure(SCENARIOS["medium"], fits, known)
     assert found["coverage"] == pytest.approx(200 / 3)
     assert found["coverage_error"] == pytest.approx(100 / 3)
     assert found["z"] == pytest.approx(np.sqrt(11 / 3))
@@ -247,65 +232,14 @@ def test_measures_count_what_they_say() -> None:
     assert found["forces"]["X"]["level"][0] == pytest.approx(1.1)
     assert found["forces"]["X"]["within"] == 100.0
     assert found["forces"]["M"]["within"] == 0.0
-    assert found["reference"]["forces"]["Z"]["level"][0] == pytest.approx(1.0)
-    assert found["reference"]["forces"]["Z"]["time"][0] == pytest.approx(1.5)
-    assert found["prediction"]["first"] == pytest.approx((90.0, 0.0))
-    assert "prediction" not in found["missed"]
-    page = table([found])
-    assert "| medium | X | 1.10 (1.10 to 1.10) | 1.05 (1.05 to 1.05) | 100 | 100 |" in page
-    assert "| 66.7 ± 33.3 | 1.91 | 1.00 | 33 |" in page
-
-
-def test_a_fit_that_raises_is_outside_its_intervals() -> None:
-    """It counts against coverage and has an error of a hundred per cent."""
+    assert found["prediction"][0] == pytest.approx(95.0)
+    assert "| 66.7 ± 33.3 | 1.91 | 1.00; " in table([found])
     nothing = dict.fromkeys(REMUS.believed, float("nan"))
-    broken = fake(1, 0.0, estimates=nothing, std_errors=nothing, status="raised", covered={})
+    broken = fake(1, 0.0, estimates=nothing, std_errors=nothing, status="raised")
     found = measure(SCENARIOS["white"], [fake(0, 0.5), broken], {})
     assert found["coverage"] == pytest.approx(50.0)
     assert found["flagged"] == pytest.approx(50.0)
     assert found["by_parameter"]["X_uu"]["relative_rms"] == pytest.approx(100 * np.sqrt(0.5), 1e-3)
-
-
-def test_targets_admit_a_warning_only_for_wrong_sensors() -> None:
-    """Coverage of 80 per cent with a warning is enough for spikes, not for disturbance forces."""
-    found = {
-        "coverage": 80.0,
-        "coverage_error": 1.0,
-        "flagged": 96.0,
-        "prediction": {"fit": (95.0, 0.5)},
-    }
-    assert missed(SCENARIOS["spikes"], found) == []
-    assert missed(SCENARIOS["medium"], found) == ["coverage"]
-    assert missed(SCENARIOS["white"], found) == ["coverage", "false warnings"]
-    assert missed(SCENARIOS["large"], {**found, "coverage": 91.0, "coverage_error": 0.1}) == []
-
-
-def test_what_a_fit_warns_of_is_read_from_its_concerns() -> None:
-    """A status that is not good comes first; levels are taken from its noise."""
-    status = SimpleNamespace(ok=False, code="stalled")
-    noise = SimpleNamespace(force=np.array([0.1, 0.2, 0.3]), force_time=np.array([1.0, 2.0, 3.0]))
-    fit = SimpleNamespace(status=status, concerns=[SimpleNamespace(kind="spikes")], noise=noise)
-    assert trial.concerns(fit) == ("stalled", "spikes")  # type: ignore[arg-type]
-    told = trial.forces(fit, "remus")  # type: ignore[arg-type]
-    assert told is not None
-    assert told["M"] == (0.3, 3.0)
-    fit.noise = SimpleNamespace(force=np.zeros(0), force_time=np.zeros(0))
-    assert trial.forces(fit, "remus")["Z"][0] == 0.0  # type: ignore[arg-type, index]
-
-
-def test_kept_reference_is_of_these_data(tmp_path: Path, medium: list[Set]) -> None:
-    """Written, read back, and not used once the data differ."""
-    scenario, data = SCENARIOS["medium"], medium[0]
-    estimates = {name: float(i) for i, name in enumerate(cache.names(scenario))}
-    errors = dict.fromkeys(cache.names(scenario), 0.01)
-    store = Store(tmp_path / "reference.jsonl")
-    line = cache.entry(scenario, 3, data, cache.Maximum(estimates, errors, True))
-    store.add(line)
-    prints = {one.number: one.fingerprint for one in medium}
-    found = cache.known(scenario, 3, prints, store)
-    assert found == {0: {"converged": True, "estimates": estimates, "std_errors": errors}}
-    store.add({**line, "data": 1.001 * line["data"]})
-    assert cache.known(scenario, 3, prints, store) == {}
 
 
 def test_shipped_reference_fits_the_simulator() -> None:

@@ -66,16 +66,6 @@ def test_what_a_sea_hides_counts_as_hidden() -> None:
     assert strangers.shown(calm, [("sea", 5)], {}, level) == np.inf
 
 
-def test_all_and_nothing_else_is_accepted() -> None:
-    """Groups count for one effect; one claim too many, or too few, is not accepted."""
-    row: dict[str, list] = {"effects": ["a", "b"], "steps": []}
-    row["steps"] = [{"added": "c", "group": ["c", "b"]}, {"added": "a", "group": ["a"]}]
-    assert strangers.accepted(row)
-    assert not strangers.accepted({**row, "effects": ["a"]})
-    assert not strangers.accepted({**row, "steps": row["steps"][:1]})
-    assert strangers.accepted({"effects": [], "steps": []})
-
-
 def test_the_page_has_the_rates_of_the_store() -> None:
     """Those of the last date by excitation, those of the others together, are of stored cases."""
     stored = [json.loads(line) for line in strangers.STORE.read_text("utf-8").splitlines()]

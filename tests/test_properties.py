@@ -322,10 +322,10 @@ def test_manoeuvres_stay_within_limits(manoeuvre: m.Manoeuvre, limit: float, rat
 
 def test_a_few_thousand_random_inputs() -> None:
     """Random input of every reader ends in a value or in the package's own error, quickly."""
-    tally = fuzz.run(1500, seed=1)
-    assert not tally.uncaught
-    assert not tally.slow
-    assert sum(tally.accepted.values()) > 100
+    rows = fuzz.counted(inputs=1500, seed=1)
+    assert [row["reader"] for row in rows] == list(fuzz.SHARES)
+    assert not sum(row["uncaught"] + row["slower than 2 s"] for row in rows)
+    assert sum(row["accepted"] for row in rows) > 100
 
 
 @pytest.mark.slow
@@ -333,6 +333,5 @@ def test_a_few_thousand_random_inputs() -> None:
 def test_many_random_inputs(reader: str) -> None:
     """Tens of thousands of random inputs for each reader, with other seeds than the benchmark."""
     n_inputs = {"problems": 500, "results": 4000}.get(reader, 40_000)
-    tally = fuzz.run(n_inputs, seed=2, shares={reader: 1.0})
-    assert not tally.uncaught
-    assert not tally.slow
+    (row,) = fuzz.counted(inputs=n_inputs, seed=2, only=reader)
+    assert (row["uncaught"], row["slower than 2 s"]) == (0, 0)

@@ -15,7 +15,6 @@ import pytest
 import yaml
 
 import oed_sysid.testing
-from benchmarks.lowest import constraints, lowest
 from oed_sysid import __version__, list_problems
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -95,8 +94,7 @@ def test_contributing_promises_checks_that_exist() -> None:
 
 def test_lowest_versions_cover_every_dependency() -> None:
     """Each dependency states its oldest version, and nothing is imported that is not declared."""
-    assert len(lowest()) == len(PROJECT["dependencies"])
-    assert constraints(["a>=1.2", "b[c]>=3", "d"]) == ["a==1.2", "b==3"]
+    assert all(re.fullmatch(r"[\w-]+>=[\d.]+", one) for one in PROJECT["dependencies"])
     extras = [one for group in PROJECT["optional-dependencies"].values() for one in group]
     declared = {
         re.match(r"[\w.-]+", one)[0].lower().replace("-", "_")

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
 from benchmarks.harness import Row
 from benchmarks.missing_physics.cases import DATA, UNKNOWN_TERMS, Draw
 from benchmarks.missing_physics.simulator import TEST, TRAIN, Case, Records
-from benchmarks.rates import detectable, searched
+from benchmarks.rates import detectable, judged
 from oed_sysid import (
     Dataset,
     Force,
@@ -28,46 +28,34 @@ from oed_sysid.physics import Effect
 
 
 def true_structure(
-    problem: Problem, train: Dataset, test: Dataset, case: Case, found: Improvement
+    problem: Problem, train: Dataset, test: Dataset, case: Case, found: Improvement | None
 ) -> Row:
     """Fit the true structure, from the nominal model's fit and from the truth: what could be known.
 
     Returns
     -------
     dict
-        Twice the log-likelihood that the true structure gains on the believed one, and that each
-        hidden effect gains when all others are in the model; the gain that a claim needs, and
-        whether every effect has it; errors of the true structure, in units of the noise.
+        The likelihood-ratio statistic of each hidden effect with all others in the model, whether
+        every one has what a claim needs, and the error of the true structure on the test records,
+        in units of the noise.
     """
     effects = [_effect(problem, name) for name in case.effects]
     if not effects:  # the nominal structure is the true one
-        error = found.base_error
-        needed = threshold(len(problem.effects), 1)
-        return _told(0.0, {}, needed, error["train"], error["test"])
+        error = np.nan if found is None else found.base_error["test"]
+        return {"true_gains": {}, "detectable": True, "true_test_error": error}
     unknown = any(name in UNKNOWN_TERMS for name in case.effects)
     candidates = effects if unknown else [*problem.effects]
     study, base = Study.begin(problem.model, train, test, candidates, known_noise=False)
     fits = _fits(study, base, effects, case)
-    full = fits[""]
     freedom = max(len(e.amplitude_names) + len(e.shape_names) for e in effects)
-    gains = {name: fits.get(name, base).objective - full.objective for name in case.effects}
-    sigma = np.array([output.noise_std for output in problem.model.outputs])
-    # Records are whole, so that every output counts alike.
-    train_error, test_error = (
-        float(np.sqrt(np.mean((study.rms(full, part) / sigma) ** 2))) for part in (train, test)
-    )
+    gains = {name: fits.get(name, base).objective - fits[""].objective for name in case.effects}
     needed = threshold(len({effect.name for effect in (*problem.effects, *effects)}), freedom)
-    return _told(base.objective - full.objective, gains, needed, train_error, test_error)
-
-
-def _told(gain: float, gains: Row, needed: float, train_error: float, test_error: float) -> Row:
+    # Records are whole, so that every output counts alike.
+    errors = study.rms(fits[""], test) / [output.noise_std for output in problem.model.outputs]
     return {
-        "true_gain": gain,
         "true_gains": gains,
-        "needed": needed,
         "detectable": detectable(gains.values(), needed),
-        "true_train_error": train_error,
-        "true_test_error": test_error,
+        "true_test_error": float(np.sqrt(np.mean(errors**2))),
     }
 
 
@@ -138,19 +126,12 @@ def datasets(problem: Problem, records: Sequence[Records]) -> tuple[Dataset, Dat
 
 def judge(draw: Draw, case: Case, records: Sequence[Records]) -> Row:
     """Improve the nominal model on one case, and compare with the truth."""
-    problem = nominal()
-    train, test = datasets(problem, records)
-    found, told = searched(problem.model, train, test, problem.effects)
+    problem, data = nominal(), datasets(nominal(), records)
     entry: Row = {
         "key": draw.key,
         "hidden": draw.hidden,
         "condition": draw.condition,
         "effects": dict(case.effects),
-        **told,
     }
-    if found is None:
-        return entry
-    try:
-        return entry | true_structure(problem, train, test, case, found)
-    except Exception as error:  # a case that breaks is a result too
-        return entry | {"error": f"{type(error).__name__}: {error}"}
+    truth = partial(true_structure, problem, *data, case)
+    return judged(entry, problem.model, data, problem.effects, truth)

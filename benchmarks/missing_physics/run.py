@@ -9,14 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import RESULTS, Row, Store, run_cases
-from benchmarks.missing_physics.cases import Draw, draws, simulate_draws
+from benchmarks import rates
+from benchmarks.harness import RESULTS, Row, Store
+from benchmarks.missing_physics.cases import DATA, Draw, draws, simulate_draws
 from benchmarks.missing_physics.judge import judge
-from benchmarks.missing_physics.measures import as_markdown, measures
-from benchmarks.rates import summary
 
 STORE = Store(RESULTS / "missing_physics.jsonl")
 PLAN = (
@@ -46,22 +44,12 @@ def calls(left: Sequence[Draw]) -> Iterator[Callable[[], Row]]:
             yield partial(judge, draw, case, records)
 
 
-def run(
-    plan: str = PLAN,
-    *,
-    results: Path = STORE.path,
-    n_jobs: int = 2,
-    tell: Callable[[str], None] = print,
-) -> dict[str, Any]:
-    """Run all cases of a plan that are not on disk yet, and measure all that are.
-
-    ``tell`` takes progress. What is returned is that of
-    :func:`benchmarks.missing_physics.measures.measures`.
-    """
-    rows = run_cases(Store(results), cases(plan), calls, n_jobs=n_jobs, tell=summary, say=tell)
-    return measures(rows)
+def measures(rows: Sequence[Row]) -> dict[str, Any]:
+    """Measures of finished cases; of terms without a name, also of their equation."""
+    axes = {name: {"axis": term["axis"]} for name, term in DATA["unknown"].items()}
+    return rates.measures([row | axes.get(next(iter(row["effects"]), ""), {}) for row in rows])
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Measures of finished cases as Markdown."""
-    return as_markdown(measures(rows))
+    """These measures as Markdown."""
+    return rates.table(measures(rows))

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from benchmarks.harness import Row
 from benchmarks.other_vehicles.cases import Case, Draw, draw_case
 from benchmarks.other_vehicles.models import nominal
 from benchmarks.other_vehicles.truth.simulator import Runs, Vehicle
-from benchmarks.rates import at_most, detectable, finite, searched
+from benchmarks.rates import detectable, finite, judged
 from oed_sysid import Dataset, Model, MultipleShooting, Record, compare
+from oed_sysid.evidence.improvement import Improvement
 
 # Expected gain in twice the log-likelihood from which an effect counts as detectable. A claim
 # among 40 candidates needs about 14; 36 is six standard deviations of one amplitude, so that
@@ -51,7 +51,7 @@ def true_model(case: Case) -> Model:
     return model.with_values(values)
 
 
-def judge(draw: Draw, *, limit: float = 600.0, prepared: bool = True) -> dict[str, Any]:
+def judge(draw: Draw, *, limit: float = 600.0, prepared: bool = True) -> Row:
     """Draw a case, improve its nominal model, and compare with the truth.
 
     ``limit`` is the processor time that the improvement may take, s; beyond it the case
@@ -61,7 +61,8 @@ def judge(draw: Draw, *, limit: float = 600.0, prepared: bool = True) -> dict[st
     case = draw_case(draw)
     model = nominal_model(case)
     train, validation = datasets(case.vehicle, case.runs, model)
-    entry: dict[str, Any] = {
+    gains = {name: case.gain(name) for name in case.effects}
+    entry: Row = {
         "key": draw.key,
         "vehicle": draw.vehicle,
         "hidden": draw.hidden,
@@ -70,38 +71,19 @@ def judge(draw: Draw, *, limit: float = 600.0, prepared: bool = True) -> dict[st
         "effects": list(case.effects),
         "same_as": {name: list(case.vehicle.hidden[name].same_as) for name in case.effects},
         "sizes": {k: np.asarray(v).tolist() for k, v in case.hidden.items()},
-        **_detectability(case),
-    }
-    offered = nominal(draw.vehicle).effects(case.lacking) if prepared else None
-    if not prepared:
-        entry |= {"key": f"{draw.key}/unprepared", "prepared": False}
-    found, told = searched(model, train, validation, offered, limit=limit)
-    entry |= told
-    try:
-        with at_most(limit):
-            entry |= _against_truth(case, found, train, validation)
-    except Exception as error:
-        entry["truth_error"] = f"{type(error).__name__}: {error}"
-    return entry
-
-
-def _detectability(case: Case) -> dict[str, Any]:
-    gains = {name: case.gain(name) for name in case.effects}
-    return {
         "true_gains": {name: gain.train for name, gain in gains.items()},
-        "true_validation_gains": {name: gain.validation for name, gain in gains.items()},
         "detectable": detectable((gain.train for gain in gains.values()), DETECTABLE)
         and detectable((gain.validation for gain in gains.values()), CONFIRMABLE),
     }
+    if not prepared:
+        entry |= {"key": f"{draw.key}/unprepared", "prepared": False}
 
+    def against_truth(found: Improvement | None) -> Row:
+        """Validation errors of what was found and of the true structure, by one means."""
+        models = {"true": MultipleShooting().fit(true_model(case), train).model}
+        models |= {} if found is None else {"found": found.model}
+        errors = compare(models, validation).models
+        return {f"{part.label}_validation": finite(part.relative) for part in errors}
 
-def _against_truth(
-    case: Case, found: Any, train: Dataset, validation: Dataset
-) -> dict[str, float | str]:
-    """Validation errors of what was found and of the true structure, by one means."""
-    fit = MultipleShooting().fit(true_model(case), train)
-    models: dict[str, Any] = {"true": fit.model}
-    if found is not None:
-        models["found"] = found.model
-    compared = compare(models, validation)
-    return {f"{part.label}_validation": finite(part.relative) for part in compared.models}
+    offered = nominal(draw.vehicle).effects(case.lacking) if prepared else None
+    return judged(entry, model, (train, validation), offered, against_truth, limit=limit)

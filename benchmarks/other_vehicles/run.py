@@ -3,8 +3,9 @@
     OMP_NUM_THREADS=1 python -m benchmarks.other_vehicles coaster motor --cases 20 --jobs 1
     OMP_NUM_THREADS=1 python -m benchmarks.other_vehicles --cases 18 --unprepared
 
-``--unprepared`` names no candidate: `improve` makes its own from the model and the records. *Right*
-is then an error of whole validation runs of at most 1.05 times that of the true structure.
+``--unprepared`` names no candidate: `improve` makes its own from the model and the records. What is
+hidden is then an *unknown effect*, found if whole validation runs err at most 1.05 times as much as
+with the true structure.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 
+from benchmarks import rates
 from benchmarks.harness import RESULTS, Row, Store
 from benchmarks.other_vehicles.cases import draws
 from benchmarks.other_vehicles.judge import judge
-from benchmarks.other_vehicles.measures import as_markdown, measures, unprepared_table
 from benchmarks.other_vehicles.truth import VEHICLES
 
 STORE = Store(RESULTS / "other_vehicles.jsonl")
@@ -44,10 +45,9 @@ def cases(
     unprepared : bool
         name no candidate
     """
-    # Candidates are named unless it is said, so that cases of a store are what they were.
-    settings, ending = ({"prepared": False}, "/unprepared") if unprepared else ({}, "")
+    ending = "/unprepared" if unprepared else ""
     return {
-        draw.key + ending: partial(judge, draw, limit=limit, **settings)
+        draw.key + ending: partial(judge, draw, limit=limit, prepared=not unprepared)
         for draw in draws(vehicles, max((cases, *(number + 1 for number in only))))
         if not only or draw.number in only
     }
@@ -56,6 +56,7 @@ def cases(
 def table(rows: Sequence[Row]) -> str:
     """Measures of finished cases as Markdown, those without candidates apart."""
     named = [row for row in rows if row.get("prepared", True)]
-    bare = [row for row in rows if row not in named]
-    parts = [as_markdown(measures(named))] if named else []
-    return "\n\n".join([*parts, unprepared_table(bare)] if bare else parts)
+    bare = [
+        row | {"hidden": "unknown"} if row["effects"] else row for row in rows if row not in named
+    ]
+    return "\n\n".join(rates.table(rates.measures(part)) for part in (named, bare) if part)

@@ -16,10 +16,10 @@ start at the believed values.
 the fin it knows for one, rudder zeros it always has. Its results are kept in
 ``benchmarks/results``, one line a data set with a fingerprint of the data.
 
-**Targets**, missed where beyond twice the Monte-Carlo error: coverage 93 to 97 % (90 to 97 % for
-large forces, the unstable vehicle and weak trials), or with wrong sensors a warning in 95 % of the
-runs; errors up to 1.1 times the reference's; prediction 93 to 97 %; no more than 5 % false
-warnings. A data set counts once in every Monte-Carlo error: its parameters are correlated.
+**Aimed at** are coverage and prediction of 93 to 97 % (90 to 97 % for large forces, the unstable
+vehicle and weak trials), errors up to 1.1 times the reference's, no more than 5 % false warnings,
+and with wrong sensors a warning in 95 % of the runs. A data set counts once in every Monte-Carlo
+error: its parameters are correlated.
 
 ::
 

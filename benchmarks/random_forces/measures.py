@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,11 +18,7 @@ from benchmarks.random_forces.trial import Outcome
 LARGEST = 100.0
 # Level and time of each disturbance force.
 Forces = Mapping[str, tuple[float, float]]
-DIFFICULT = ("large", "large_calm", "unstable", "weak", "weak_small")
-LARGEST_RATIO = 1.1
-FLAGGED = 95.0  # per cent of runs
 WITHIN = 0.2  # of a level or a time
-STARTS = ("fit", "first")  # what a prediction starts from
 
 
 def share(values: np.ndarray) -> tuple[float, float]:
@@ -60,7 +56,6 @@ def measure(
         "sets": len(outcomes),
         **estimated(names, error, z),
         **_told_by(outcomes),
-        "prediction": _bands(outcomes),
         "sea": _sea(scenario, outcomes),
         "forces": _forces(scenario, [o.force for o in outcomes if o.force is not None]),
     }
@@ -68,7 +63,6 @@ def measure(
     if both:
         fits = of_reference([outcomes[i] for i in both], known)
         found["reference"] = _against(scenario, fits, error[both])
-    found["missed"] = missed(scenario, found)
     return found
 
 
@@ -98,43 +92,12 @@ def _told_by(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "status": dict(Counter(o.status for o in outcomes)),
         "said": float(100 * np.mean([o.said for o in outcomes])),
         "seconds": float(np.median([o.seconds for o in outcomes])),
+        "prediction": share(np.array([[*one.values()] for one in banded])) if banded else None,
         "by_output": {
             output: float(100 * np.mean([one[output] for one in banded]))
             for output in (banded[0] if banded else ())
         },
-        "misfit": float(np.median([o.misfit for o in outcomes])),
-        "local": float(np.sqrt(np.mean(np.square([o.local for o in outcomes])))),
     }
-
-
-def _bands(outcomes: Sequence[Outcome]) -> dict[str, tuple[float, float]]:
-    """Share of new samples that prediction bands hold, by what a prediction starts from."""
-    told = {kind: [o.covered[kind] for o in outcomes if kind in o.covered] for kind in STARTS}
-    return {kind: share(np.array(shares)) for kind, shares in told.items() if shares}
-
-
-def missed(scenario: Scenario, found: Mapping[str, Any]) -> list[str]:
-    """Targets that are missed, as :mod:`benchmarks.random_forces` states them."""
-    lowest = 90.0 if scenario.name in DIFFICULT else 93.0
-    names = []
-    if not _within(found["coverage"], found["coverage_error"], lowest) and not (
-        scenario.may_flag and found["flagged"] >= FLAGGED
-    ):
-        names.append("coverage")
-    ratio = found["reference"]["error_ratio"] if "reference" in found else 0.0
-    if any(scenario.force) and ratio > LARGEST_RATIO:
-        names.append("errors")
-    band = None if scenario.may_flag else found["prediction"].get("fit")
-    if band is not None and not _within(*band, 93.0):
-        names.append("prediction")
-    if not (any(scenario.force) or scenario.may_flag) and found["flagged"] > 100.0 - FLAGGED:
-        names.append("false warnings")
-    return names
-
-
-def _within(value: float, error: float, lowest: float, highest: float = 97.0) -> bool:
-    slack = 2.0 * error if np.isfinite(error) else 0.0
-    return lowest - slack <= value <= highest + slack
 
 
 def errors(outcomes: Sequence[Any], names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -163,27 +126,15 @@ def _against(
     scenario: Scenario, fits: Sequence[SimpleNamespace], error: np.ndarray
 ) -> dict[str, Any]:
     """Errors ``(n_sets, n_parameters)`` over those of the reference on the same data sets."""
-    vehicle = VEHICLES[scenario.vehicle]
-    names = list(vehicle.believed)
+    names = list(VEHICLES[scenario.vehicle].believed)
     own, z = errors(fits, names)
     found = estimated(names, own, z)
     scale = np.sqrt(np.mean(own**2, axis=0))
-    ratios = np.sqrt(np.mean(error**2, axis=0)) / scale
-    told = [_told(fit.estimates, vehicle.forces) for fit in fits] if any(scenario.force) else []
     return {
         "sets": len(fits),
         "error_ratio": float(np.sqrt(np.mean((error / scale) ** 2))),
-        "error_ratio_median": float(np.median(ratios)),
-        "by_parameter": dict(zip(names, map(float, ratios), strict=True)),
-        "relative_rms": {n: part["relative_rms"] for n, part in found["by_parameter"].items()},
         **{name: found[name] for name in ("coverage", "coverage_error", "z")},
-        "forces": _forces(scenario, told),
     }
-
-
-def _told(estimates: Mapping[str, float], names: Sequence[str]) -> Forces:
-    """Levels and their one time, as the reference keeps them."""
-    return {n: (estimates[f"force {n}"], estimates["force time"]) for n in names}
 
 
 def _forces(scenario: Scenario, told: Sequence[Forces]) -> dict[str, Any] | None:
@@ -224,33 +175,13 @@ def _sea(scenario: Scenario, outcomes: Sequence[Outcome]) -> dict[str, Any]:
 
 
 def table(results: Sequence[Mapping[str, Any]]) -> str:
-    """Markdown: one row a scenario, then levels of forces, then what else is told of each."""
-    head = (
-        "scenario", "sets", "coverage, %", "z", "error / reference", "flagged, %",
-        "prediction, %", "from first, %", "reference: coverage, z", "CPU, s", "targets missed",
-    )  # fmt: skip
-    parts = (
-        markdown(head, map(_cells, results)),
-        _force_table(results),
-        map(_further, results),
+    """Markdown: a row for each scenario, then what else is told of each."""
+    groups = {f"{found['scenario']}: {found['title']}": found for found in results}
+    rows = ([column(found) for column in COLUMNS.values()] for found in groups.values())
+    lines = markdown(
+        ("scenario", *COLUMNS), ((name, *row) for name, row in zip(groups, rows, strict=True))
     )
-    return "\n\n".join("\n".join(part) for part in parts)
-
-
-def _cells(r: Mapping[str, Any]) -> tuple[object, ...]:
-    """One scenario in the first table."""
-    known = r.get("reference")
-    ratio = own = "–"
-    if known:
-        ratio = f"{known['error_ratio']:.2f}"
-        own = f"{_pair(known['coverage'], known['coverage_error'])}, {known['z']:.2f}"
-    bands = (_pair(*r["prediction"][kind]) if kind in r["prediction"] else "–" for kind in STARTS)
-    coverage = _pair(r["coverage"], r["coverage_error"])
-    return (
-        f"{r['scenario']}: {r['title']}", r["sets"], coverage, f"{r['z']:.2f}", ratio,
-        f"{r['flagged']:.0f}", *bands, own, f"{r['seconds']:.3f}",
-        ", ".join(r["missed"]) or "all met",
-    )  # fmt: skip
+    return "\n".join([*lines, "", *map(_further, results)])
 
 
 def _pair(value: float, error: float) -> str:
@@ -261,53 +192,51 @@ def _range(numbers: Sequence[float]) -> str:
     return "{:.2f} ({:.2f} to {:.2f})".format(*numbers)
 
 
-def _force_table(results: Sequence[Mapping[str, Any]]) -> list[str]:
-    rows = []
-    for r in results:
-        if r["forces"] is None:
-            continue
-        told = dict(r["forces"])
-        often = f"{told.pop('found'):.0f}"
-        if not told:
-            rows.append((r["scenario"], "none", "–", "–", "–", often, "–"))
-        known = r.get("reference", {}).get("forces")
-        for name, f in told.items():
-            own = "–"
-            if known:
-                level, time = (known[name][what][0] for what in ("level", "time"))
-                own = f"{level:.2f}, {time:.2f}; {known[name]['within']:.0f}"
-            ranges = _range(f["level"]), _range(f["time"])
-            rows.append((r["scenario"], name, *ranges, f"{f['within']:.0f}", often, own))
-    head = (
-        "scenario", "force", "level / true: median (5 to 95 %)", "time / true",
-        "both within 20 %, %", "any force found, %", "reference: level, time; within",
-    )  # fmt: skip
-    return markdown(head, rows) if rows else ["The fits tell no levels of disturbance forces."]
+def _of_reference(found: Mapping[str, Any]) -> str:
+    known = found.get("reference")
+    if known is None:
+        return "–"
+    return f"{known['error_ratio']:.2f}; {_pair(known['coverage'], known['coverage_error'])}"
 
 
-def _parameter(r: Mapping[str, Any], name: str) -> str:
-    """Error, coverage and bias of one parameter."""
-    part, known = r["by_parameter"][name], r.get("reference")
-    beside = f" ({known['relative_rms'][name]:.2g})" if known else ""
-    return f"{part['relative_rms']:.2g}{beside}; {part['coverage']:.0f}; {r['bias'][name]:+.2f}"
+COLUMNS: dict[str, Callable[[Mapping[str, Any]], object]] = {
+    "sets": lambda found: found["sets"],
+    "coverage, %": lambda found: _pair(found["coverage"], found["coverage_error"]),
+    "z": lambda found: f"{found['z']:.2f}",
+    "error over the reference's; its coverage, %": _of_reference,
+    "flagged, %": lambda found: f"{found['flagged']:.0f}",
+    "physics said to be missing, %": lambda found: f"{found['said']:.0f}",
+    "prediction, %": lambda found: _pair(*found["prediction"]) if found["by_output"] else "–",
+    "any force found, %": lambda found: (
+        f"{found['forces']['found']:.0f}" if found["forces"] else "–"
+    ),
+    "sea claimed, %": lambda found: f"{found['sea']['claimed']:.0f}",
+    "CPU, s": lambda found: f"{found['seconds']:.3f}",
+}
 
 
-def _further(r: Mapping[str, Any]) -> str:
-    """What the fits of one scenario warn of, seas that they claim, errors, in sentences."""
-    kinds = ", ".join(f"{kind} ({count})" for kind, count in r["concerns"].items()) or "nothing"
-    states = ", ".join(f"{kind} ({count})" for kind, count in r["status"].items())
-    text = f"- {r['scenario']}: misfit {r['misfit']:.3f} x noise; warned of {kinds}; "
-    text += f"physics said to be missing in {r['said']:.0f} %; "
-    sea = r["sea"]
-    text += f"sea claimed in {sea['claimed']:.0f} %; "
+def _further(found: Mapping[str, Any]) -> str:
+    """Levels of forces and of a sea, parameters, bands and warnings of one scenario, in words."""
+    parts = [
+        f"force {name}: level / true {_range(f['level'])}, time / true {_range(f['time'])}, both "
+        f"within 20 % in {f['within']:.0f} %"
+        for name, f in (found["forces"] or {}).items()
+        if name != "found"
+    ]
+    sea = found["sea"]
     if "period" in sea:
         levels = ", ".join(f"{v:.2f}" for v in sea["level"])
-        text += f"period / true {_range(sea['period'])}, within 10 % in {sea['period_within']:.0f} "
-        text += f"%; levels / true {levels}, within 25 % in {sea['level_within']:.0f} %; "
-    if np.isfinite(r["local"]):
-        text += f"parameters of records to {100 * r['local']:.1f} % of their spread; "
-    if r["by_output"]:
-        bands = ", ".join(f"{name} {value:.0f}" for name, value in r["by_output"].items())
-        text += f"prediction by output {bands} %; "
-    parts = ", ".join(f"{name} {_parameter(r, name)}" for name in r["by_parameter"])
-    return f"{text}status {states}. Rms errors, % (reference), coverage, bias: {parts}."
+        parts.append(
+            f"sea: period / true {_range(sea['period'])}, within 10 % in "
+            f"{sea['period_within']:.0f} %; levels / true {levels}, within 25 % in "
+            f"{sea['level_within']:.0f} %"
+        )
+    parts += [
+        f"{name}: rms error {part['relative_rms']:.2g} %, coverage {part['coverage']:.0f} %, bias "
+        f"{found['bias'][name]:+.2f}"
+        for name, part in found["by_parameter"].items()
+    ]
+    for words, told in (("prediction of {} {:.0f} %", "by_output"), ("{} in {}", "concerns"),
+                        ("{}: {}", "status")):  # fmt: skip
+        parts += [words.format(name, value) for name, value in found[told].items()]
+    return f"- {found['scenario']}: {'; '.join(parts)}."

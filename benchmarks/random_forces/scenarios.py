@@ -245,8 +245,6 @@ class Scenario:
         row in which the command changes is always there.
     hidden : bool
         The fitted model does not know the parameters that differ from record to record.
-    may_flag : bool
-        Wrong sensors: intervals hold, or the report says that they may not.
     """
 
     name: str
@@ -270,7 +268,6 @@ class Scenario:
     missing: float = 0.0
     dropped: float = 0.0
     hidden: bool = False
-    may_flag: bool = False
 
 
 def _scenarios() -> dict[str, Scenario]:

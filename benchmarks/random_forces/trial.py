@@ -44,22 +44,16 @@ class Outcome:
         What the fit warns of: its status if it did not converge, and its ``concerns``.
     force : dict or None
         Level and time of the disturbance force of each equation, where a fit tells them.
-    covered : dict
-        Share of a fresh record within the 95 % band, by kind of start.
     seconds : float
         Processor time of the fit.
     by_output : dict
-        The same by output, start states estimated on the fresh record.
-    misfit : float
-        Root mean square residual in units of the declared noise.
-    local : float
-        Root mean square error of per-record parameters over their spread.
+        Share of a fresh record within the 95 % band, its start states estimated.
     sea : dict or None
         What :func:`sea_of` tells.
     disturbed : bool
         Whether process noise was taken in.
-    left_out : int
-        Samples that were taken for spikes.
+    left_out, spoilt : int
+        Samples that were taken for spikes, and that are.
     said : bool
         Whether the fit says that process noise has taken the work of physics.
     """
@@ -71,14 +65,12 @@ class Outcome:
     status: str
     concerns: tuple[str, ...]
     force: dict[str, tuple[float, float]] | None
-    covered: dict[str, float]
     seconds: float
     by_output: dict[str, float] = field(default_factory=dict)
-    misfit: float = np.nan
-    local: float = np.nan
     sea: dict[str, Any] | None = None
     disturbed: bool = False
     left_out: int = 0
+    spoilt: int = 0
     said: bool = False
 
 
@@ -177,20 +169,13 @@ def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outco
         empty = dict.fromkeys(names, float("nan"))
         kind = f"raised {type(error).__name__}: {error}"
         seconds = time.process_time() - began
-        return Outcome(data.number, data.truth, empty, empty, kind, (), None, {}, seconds)
+        return Outcome(data.number, data.truth, empty, empty, kind, (), None, seconds)
     seconds = time.process_time() - began
-    covered, by_output = {}, {}
-    # A parameter of the fresh record can only be known by a fit to it.
-    ways = ("fit",) if data.fresh.local else ("fit", "first")
-    for initial in ways if settings.get("predict", True) else ():
-        try:
-            prediction = fit.predict(dataset(scenario, model, (data.fresh,)), initial=initial)
-            # An output that is not predicted at all (NaN) is not covered.
-            shares = {n: float(np.nan_to_num(v)) for n, v in prediction.coverage().items()}
-            covered[initial] = float(np.mean([*shares.values()]))
-            by_output = shares if initial == "fit" else by_output
-        except Exception:
-            covered[initial] = 0.0
+    by_output = {}
+    if settings.get("predict", True):
+        prediction = fit.predict(dataset(scenario, model, (data.fresh,)))
+        # An output that is not predicted at all (NaN) is not covered.
+        by_output = {n: float(np.nan_to_num(v)) for n, v in prediction.coverage().items()}
     return Outcome(
         number=data.number,
         truth=data.truth,
@@ -199,28 +184,13 @@ def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outco
         status=fit.status.code,
         concerns=concerns(fit),
         force=forces(fit, scenario.vehicle),
-        covered=covered,
         seconds=seconds,
         by_output=by_output,
-        misfit=float(fit.normalised_rms),
-        local=local_error(fit, data, scenario.vehicle),
         sea=sea_of(fit, scenario.vehicle),
         disturbed=fit.noise.has_forces,
         left_out=sum(count for count, _ in fit.excluded.values()),
         said=bool(fit.whole_runs.said),
     )
-
-
-def local_error(fit: Fit, data: Set, vehicle: str) -> float:
-    """Rms error of per-record parameters over their spread; NaN where there is none."""
-    errors = [
-        fitted[name] - true
-        for fitted, run in zip(fit.local_values, data.runs, strict=False)
-        for name, true in run.local.items()
-        if name in fitted
-    ]
-    spread = next(iter(VEHICLES[vehicle].local.values()), np.nan)
-    return float(np.sqrt(np.mean(np.square(errors)))) / spread if errors else np.nan
 
 
 def sea_of(fit: Fit, vehicle: str) -> dict[str, Any] | None:

@@ -607,11 +607,12 @@ def missing_physics(
         )
     if str(checkout) not in sys.path:
         sys.path.insert(0, str(checkout))
-    module = importlib.import_module("benchmarks.missing_physics.run")
-    tables = importlib.import_module("benchmarks.missing_physics.measures")
-    settings = {} if out is None else {"results": out / "missing_physics.jsonl"}
-    found = module.run(plan or module.PLAN, n_jobs=jobs, tell=note, **settings)
-    text = tables.as_markdown(found)
+    study = importlib.import_module("benchmarks.missing_physics.run")
+    harness = importlib.import_module("benchmarks.harness")
+    kept = study.STORE if out is None else harness.Store(out / "missing_physics.jsonl")
+    wanted = study.cases(plan or study.PLAN)
+    rows = harness.run_cases(kept, wanted, study.calls, n_jobs=jobs, say=note)
+    found, text = study.measures(rows), study.table(rows)
     rates = (f"{one['name']} {one['value']:.3g} of {one['count']}" for one in found["rates"][:2])
     answer(f"{found['n_cases']} cases: {'; '.join(rates)}.", text)
     if out is not None:

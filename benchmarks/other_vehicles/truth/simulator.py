@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from benchmarks.truth import gauss_markov, runge_kutta
 
@@ -153,8 +152,6 @@ class Vehicle:
         Parameters: those that a nominal model estimates, and those it knows.
     sample, duration, substep : float
         In s.
-    integrator : str
-        ``"rk4"``, ``"dop853"`` (error-controlled, SciPy) or ``"gragg"``.
     noise : dict
         Standard deviation of each output.
     forces : dict
@@ -178,7 +175,6 @@ class Vehicle:
     sample: float
     duration: float
     substep: float
-    integrator: str
     forces: Mapping[str, float]
     force_time: float
     logged: tuple[str, float]
@@ -344,13 +340,10 @@ class Plant:
         """Full state one sample later."""
         vehicle = self.vehicle
         rate = self.derivative(effective, forces)
-        if vehicle.integrator == "dop853":
-            return _dop853(rate, full, vehicle.sample)
-        step = {"rk4": runge_kutta, "gragg": _gragg}[vehicle.integrator]
         count = round(vehicle.sample / vehicle.substep)
         n = len(vehicle.states)
         for _ in range(count):
-            after = step(rate, full, vehicle.sample / count)
+            after = runge_kutta(rate, full, vehicle.sample / count)
             if vehicle.settle is not None:
                 acting = self.deflections(after, effective)
                 after[:n] = vehicle.settle(
@@ -383,36 +376,6 @@ class Plant:
             held.append(value)
             rows.append(value + self.of(f"offset:{name}") + self.of(f"zero:{name}"))
         return np.stack(rows), np.stack(held)
-
-
-def _gragg(rate: Derivative, x: np.ndarray, h: float) -> np.ndarray:
-    """Modified midpoint rule with 2, 4 and 6 parts, extrapolated to order six."""
-    first = rate(x)
-    parts = []
-    for count in (2, 4, 6):
-        small = h / count
-        before, now = x, x + small * first
-        for _ in range(count - 1):
-            before, now = now, before + 2 * small * rate(now)
-        parts.append((before + now + small * rate(now)) / 2)
-    low = (4 * parts[1] - parts[0]) / 3
-    high = (9 * parts[2] - 4 * parts[1]) / 5
-    return (9 * high - low) / 8
-
-
-def _dop853(rate: Derivative, x: np.ndarray, h: float) -> np.ndarray:
-    """Eighth order of Dormand and Prince with error control, all columns together."""
-    shape = x.shape
-    found = solve_ivp(
-        lambda _, flat: rate(flat.reshape(shape)).ravel(),
-        (0.0, h),
-        x.ravel(),
-        method="DOP853",
-        rtol=1e-9,
-        atol=1e-10,
-        first_step=h,
-    )
-    return found.y[:, -1].reshape(shape)
 
 
 def simulate(
