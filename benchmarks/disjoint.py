@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import stdtrit
@@ -58,40 +58,9 @@ def whole_table() -> list[str]:
     return markdown(head, rows)
 
 
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """Estimates of simulated data sets about their truth.
-
-    Attributes
-    ----------
-    errors : ndarray (n_repeats, n_parameters)
-        Estimates less what is true on average over runs.
-    stated, between : ndarray (n_repeats, n_parameters)
-        Standard errors, of the fit and between records.
-    told : float
-        Share of fits that say that their records differ.
-    n_records : int
-    """
-
-    errors: np.ndarray
-    stated: np.ndarray
-    between: np.ndarray
-    told: float
-    n_records: int
-
-    def row(self, name: str) -> tuple[object, ...]:
-        """Ratios and coverages as cells of a table."""
-        cells = []
-        for size, freedom in ((self.stated, math.inf), (self.between, self.n_records - 1)):
-            ratio = math.sqrt(np.mean(self.errors**2 / np.mean(size**2, axis=0)))
-            held = np.mean(np.abs(self.errors) < stdtrit(freedom, 0.975) * size)
-            cells.append(f"{ratio:.2f}, {100 * held:.0f} %")
-        return name, self.n_records, *cells, f"{100 * self.told:.0f} %"
-
-
 def simulated(
     model: Model, logs: Sequence[Record], variation: float, repeats: int, *, seed: int = 0
-) -> Trial:
+) -> dict[str, float]:
     """Fit logs whose measured rudder moves a ship that is a little another one in each run.
 
     Parameters
@@ -104,6 +73,13 @@ def simulated(
         Relative standard deviation of each free parameter from run to run.
     repeats : int
         Data sets.
+
+    Returns
+    -------
+    dict
+        Errors over those stated by the fit and between records (``stated``, ``between``), the share
+        of 95 % intervals of either that hold the truth (``stated held``, ``between held``), and of
+        fits that say that their records differ (``told``).
     """
     names = model.free_names
     levels = np.array([HEADING_NOISE, RATE_NOISE])
@@ -113,7 +89,7 @@ def simulated(
     )
     model = replace(model, outputs=outputs)
     true = np.array([model.values[name] for name in names])
-    errors, stated, between, told = [], [], [], 0
+    errors, sizes, told = [], [], 0
     for repeat in range(repeats):
         rng = np.random.default_rng((seed, repeat))
         runs = []
@@ -125,10 +101,15 @@ def simulated(
             runs.append(Record(log.name, log.times, log.inputs, noisy, model.channels))
         fit = WHITE.fit(model, Dataset(tuple(runs)))
         errors.append(fit.estimates - true)
-        stated.append([fit.std_errors[name] for name in names])
-        between.append([fit.record_errors[name] for name in names])
+        sizes.append([[own[n] for n in names] for own in (fit.std_errors, fit.record_errors)])
         told += any(concern.kind == "records_differ" for concern in fit.concerns)
-    return Trial(np.array(errors), np.array(stated), np.array(between), told / repeats, len(logs))
+    away, found = np.array(errors), {"told": told / repeats}
+    for kind, size, freedom in zip(
+        ("stated", "between"), np.moveaxis(sizes, 1, 0), (math.inf, len(logs) - 1), strict=True
+    ):
+        found[kind] = math.sqrt(np.mean(away**2 / np.mean(size**2, axis=0)))
+        found[f"{kind} held"] = float(np.mean(np.abs(away) < stdtrit(freedom, 0.975) * size))
+    return found
 
 
 def truth_table(repeats: int) -> list[str]:
@@ -143,7 +124,12 @@ def truth_table(repeats: int) -> list[str]:
         (f"K and T vary by {100 * VARIATION:.0f} % from run to run", VARIATION),
     ):
         for chosen in (logs, logs[::2]):
-            rows.append(simulated(model, chosen, variation, repeats).row(name))
+            found = simulated(model, chosen, variation, repeats)
+            cells = [
+                f"{found[kind]:.2f}, {100 * found[f'{kind} held']:.0f} %"
+                for kind in ("stated", "between")
+            ]
+            rows.append((name, len(chosen), *cells, f"{100 * found['told']:.0f} %"))
             print(*rows[-1], sep=" | ", flush=True)
     return markdown(head, rows)
 

@@ -37,7 +37,7 @@ from benchmarks.harness import (
     named,
     scaled,
 )
-from benchmarks.truth import NAMES, NOISE, rates, runge_kutta
+from benchmarks.truth import NOISE
 from oed_sysid import (
     Channels,
     Dataset,
@@ -54,7 +54,7 @@ from oed_sysid.compiled import graph as graphs
 from oed_sysid.compiled.kernels import kernel as compiled
 from oed_sysid.evidence.study import Study
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.information import CommandedRun, noise_of, respond
+from oed_sysid.information import CommandedRun, noise_of
 from oed_sysid.information.bound import RunInformation, triangle
 
 N_SAMPLES, STEP = 2400, 0.1
@@ -169,17 +169,16 @@ def kernel() -> Iterator[Measured]:
 
 
 def information() -> Iterator[Measured]:
-    """Information of that record: ours, one-sided differences, CasADi's jacobian; their accuracy.
+    """Information of that record: ours, one-sided differences, CasADi's jacobian.
 
-    Every way from the same equations, the same steps and the same triangularisation; our
-    sensitivities against complex steps of equations written anew.
+    Every way from the same equations, the same steps and the same triangularisation.
     """
     job = Task()
-    model, values, sigma = job.model, job.model.value_vector, noise_of(job.model)
+    values, sigma = job.model.value_vector, noise_of(job.model)
     seen = np.ones((N_SAMPLES, 5), dtype=bool)
     given = CommandedRun("benchmark", job.times, job.inputs, job.start, seen)
     point = np.concatenate([job.start, values[job.free]])
-    scale = np.maximum(np.abs(point), 0.1)
+    manual, _ = job.by_manual()
 
     def outputs(unknowns: np.ndarray) -> np.ndarray:
         trial = values.copy()
@@ -188,75 +187,26 @@ def information() -> Iterator[Measured]:
         return job.kernel.run(job.times, job.inputs, trial, z).outputs
 
     def differences() -> np.ndarray:
-        steps, base = 1e-7 * scale, outputs(point)
+        steps, base = 1e-7 * np.maximum(np.abs(point), 0.1), outputs(point)
         moved = [outputs(point + step) - base for step in np.diag(steps)]
         return np.stack(moved, axis=2) / steps
+
+    def by_casadi() -> np.ndarray:
+        return np.array(manual(point[:5], point[5:])[1]).reshape(N_SAMPLES, 5, -1)
 
     def factor_of(jacobian: np.ndarray) -> np.ndarray:
         rows = (jacobian / sigma[:, None]).reshape(-1, len(point))
         return triangle(rows)[5:, 5:]
 
-    print(f"{model.name}: {len(job.free)} free parameters")
-    exact = respond(model, given).jacobian
-    manual, build = job.by_manual()
-
-    def by_casadi() -> np.ndarray:
-        return np.array(manual(point[:5], point[5:])[1]).reshape(N_SAMPLES, 5, -1)
-
-    theirs, size = by_casadi(), np.abs(exact).max(axis=(0, 1))
-    path = simulate_inputs(model, job.times, inputs=job.inputs, initial=job.start).outputs
-    assert np.allclose(path, outputs(point))
-    others = {
-        "CasADi's jacobian": theirs,
-        "complex steps of NumPy equations": complex_step(job, point),
-    }
-    apart = (f"{words} {np.max(np.abs(exact - j) / size):.1e}" for words, j in others.items())
-    print(f"largest relative difference of the sensitivities to {', to '.join(apart)}")
-    reference = factor_of(theirs)
-    matrix = reference.T @ reference
-    unit = np.sqrt(np.outer(*[np.diag(matrix)] * 2))
-
-    told = RunInformation(model)
-    ways: dict[str, Callable[[], np.ndarray]] = {
-        "ours": lambda: told.factor(given),
-        "one-sided differences": lambda: factor_of(differences()),
-        "CasADi jacobian": lambda: factor_of(by_casadi()),
-    }
-    ours = least(ways["ours"], 25)
-    least_ratios = {"one-sided differences": 3.0, "CasADi jacobian": 30.0}
-    for words, way in ways.items():
-        found, taken = way(), least(way, 25)
-        error = np.max(np.abs(found.T @ found - matrix) / unit)
-        print(f"information, {words}: largest relative error {error:.1e}, {1e3 * taken:.2f} ms")
-        if words in least_ratios:
-            target = least_ratios[words]
-            yield Measured(f"information by {words} over ours", taken / ours, target, at_most=False)
-    print(f"CasADi's jacobian was built in {build:.2f} s")
-
-
-def complex_step(job: Task, point: np.ndarray) -> np.ndarray:
-    """Derivatives by an imaginary step, exact to rounding, from :func:`benchmarks.truth.rates`.
-
-    Independent of CasADi and of the compiled kernel: the same Runge-Kutta steps, one column of
-    complex unknowns for each derivative.
-    """
-    tiny = 1e-30
-    state = np.repeat(point[:5, None].astype(complex), len(point), axis=1)
-    state[np.arange(5), np.arange(5)] += 1j * tiny
-    c = {n: np.full(len(point), value, dtype=complex) for n, value in job.model.values.items()}
-    for i, name in enumerate(job.model.free_names):
-        c[name][5 + i] += 1j * tiny
-    masses = [c[name] for name in ("m", "I_yy", "X_udot", "Z_wdot", "Z_qdot", "M_wdot", "M_qdot")]
-    derivatives = [c[name] for name in NAMES]
-
-    def rate(x: np.ndarray, _: int, order: np.ndarray) -> np.ndarray:
-        return np.stack(rates(x, order, derivatives, np.sin, np.cos, masses=masses))
-
-    rows = [state.imag / tiny]
-    for order in job.inputs[:-1]:
-        state = runge_kutta(rate, state, STEP, order)
-        rows.append(state.imag / tiny)
-    return np.stack(rows)
+    told = RunInformation(job.model)
+    reference, own = factor_of(by_casadi()), told.factor(given)
+    assert np.allclose(own.T @ own, reference.T @ reference, rtol=1e-8)
+    ours = least(lambda: told.factor(given), 25)
+    for words, jacobian, target in (
+        ("one-sided differences", differences, 3.0), ("CasADi jacobian", by_casadi, 30.0),
+    ):  # fmt: skip
+        taken = least(lambda jacobian=jacobian: factor_of(jacobian()), 25)
+        yield Measured(f"information by {words} over ours", taken / ours, target, at_most=False)
 
 
 # -- fits --------------------------------------------------------------------------------
@@ -315,7 +265,7 @@ def fit_speed() -> Iterator[Measured]:
 
 
 def grown(n_samples: int) -> None:
-    """Print least time of a fit (s), its iterations and the peak memory (bytes)."""
+    """Print least time of a fit (s) per sample and iteration, and the peak memory (bytes)."""
     model = vehicle()
     data = Dataset((dive(model, STEP * np.arange(n_samples)),))
     start, estimator = ignorant(scaled(model, 0.9)), replace(WHITE, noise="given", start="near")
@@ -323,28 +273,19 @@ def grown(n_samples: int) -> None:
     assert fit.status.ok, fit.status
     seconds = least(lambda: estimator.fit(start, data), max(3, min(20, 30_000 // n_samples)))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    print(f"{seconds} {fit.iterations} {peak}")
+    print(f"{seconds / n_samples / fit.iterations} {peak}")
 
 
 def growth() -> Iterator[Measured]:
     """Time and memory of a fit of 1,000 to 100,000 samples, each in a process of its own."""
-    rows = {}
-    print(f"{'samples':>8} {'fit, s':>8} {'iterations':>10} {'us/sample/iteration':>20} {'MiB':>6}")
+    rows = []
     for n in SIZES:
-        code = f"from benchmarks.speed import grown; grown({n})"
-        told = fresh(code)[1].split()
-        seconds, iterations, peak = float(told[-3]), int(told[-2]), float(told[-1]) / 2**20
-        rows[n] = 1e6 * seconds / n / iterations, peak
-        print(f"{n:>8} {seconds:>8.3f} {iterations:>10} {rows[n][0]:>20.2f} {peak:>6.0f}",
-              flush=True)  # fmt: skip
-    more = rows[SIZES[-1]][0] / rows[SIZES[0]][0] - 1.0
+        told = fresh(f"from benchmarks.speed import grown; grown({n})")[1].split()
+        rows.append((float(told[-2]), float(told[-1]) / 2**30))
+        print(f"{n:>8} samples: {1e6 * rows[-1][0]:.2f} us each, {rows[-1][1]:.2f} GiB", flush=True)
+    more, peak = rows[-1][0] / rows[0][0] - 1.0, max(peak for _, peak in rows)
     yield Measured("time per sample and iteration, 100,000 / 1,000, growth", more, 0.15)
-    yield Measured(
-        "peak memory of a fit of 100,000 samples",
-        max(peak for _, peak in rows.values()) / 2**10,
-        1.0,
-        "GiB",
-    )
+    yield Measured("peak memory of a fit of 100,000 samples", peak, 1.0, "GiB")
 
 
 def swarm() -> Iterator[Measured]:
@@ -358,16 +299,7 @@ def swarm() -> Iterator[Measured]:
     data = Dataset((dive(model, STEP * np.arange(1000), ripple=False),))
     search = DifferentialSwarm(n_particles=100, n_generations=300, tolerance=0.0, initial=START)
     search.fit(model, data)
-    began, cpu = time.perf_counter(), time.process_time()
-    fit = search.fit(model, data)
-    clock, used = time.perf_counter() - began, time.process_time() - cpu
-    n_runs = fit.extras["evaluations"]
-    worst = max(abs(fit.values[n] - model.values[n]) / fit.std_errors[n] for n in model.free_names)
-    print(
-        f"{fit.iterations} generations, {n_runs} simulations of 1000 samples, processor time "
-        f"{used:.1f} s ({1e6 * used / n_runs:.0f} us each); largest error {worst:.1f} standard "
-        "errors"
-    )
+    _, clock = timed("swarm", lambda: search.fit(model, data))
     yield Measured("swarm, time on the clock", clock, 15.0, "s")
 
 

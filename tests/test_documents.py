@@ -59,13 +59,6 @@ def test_numbers_are_kept_by_section(small: Page) -> None:
     assert small.text() == f"Gain -0.12, stable, 1.0 to 3.0 in {law['revision']}\n"
 
 
-def test_a_page_without_its_numbers_is_refused(small: Page) -> None:
-    """A section that was never measured is named."""
-    small.measure("law")
-    with pytest.raises(Unfounded, match="runs"):
-        small.text()
-
-
 def test_words_that_numbers_do_not_carry_are_refused(small: Page) -> None:
     """A verdict falls with its number; a number that nobody measured is no blank."""
     small.measure("law")
@@ -79,14 +72,6 @@ def test_words_that_numbers_do_not_carry_are_refused(small: Page) -> None:
     small.kept.write_text(json.dumps(kept), encoding="utf-8")
     with pytest.raises(jinja2.UndefinedError, match="T"):
         small.text()
-
-
-def test_what_json_cannot_hold_is_refused(small: Page) -> None:
-    """An object among the numbers is named rather than written as its address."""
-    odd = Page("small", {"law": lambda: {"fit": object()}})
-    with pytest.raises(TypeError, match="object"):
-        odd.measure("law")
-    assert not odd.kept.exists()
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -161,53 +146,17 @@ FIGURES = {
 }
 STORED = PAGE.stored()
 KEPT = {name: one["numbers"] for name, one in STORED.items()}
-# One number of each verdict, and a value at which the verdict would be another.
+# A number that decides a verdict of each kind, and a value at which it would be another.
 DECISIVE = [
     ("auv", ["exact"], 1e-6),
-    ("auv", ["beyond", "simpson"], 2),
-    ("auv", ["beyond", "one step"], 1),
-    ("auv", ["beyond", "e-SVR"], 3),
-    ("auv", ["explained"], []),
-    ("auv", ["reduced", "w"], 0.02),
-    ("auv", ["weighted", "X_ww_prime"], -10.0),
-    ("auv", ["forms", "newton"], 1e-9),
-    ("auv_excitations", ["richer"], [0, 1]),
-    ("auv_excitations", ["one_step"], 1),
-    ("nomoto", ["published", "0.5 s, to 0.1 s"], 20.0),
     ("nomoto", ["published", "spiral, to 0.1 s"], 6.0),
-    ("nomoto", ["better"], -0.1),
-    ("nomoto", ["worse", 1], -0.1),
-    ("nomoto", ["headings", "spiral"], 0.06),
-    ("nomoto", ["signed", "spiral", 0], 1.5),
-    ("nomoto", ["gain_to_fine"], 0.5),
-    ("nomoto", ["signed", "fine rudder", 1], 0.5),
     ("nomoto_noise", ["wins", 0], "K 0.5, T 1"),
-    ("nomoto_noise", ["worst", "spiral"], 1.0),
     ("tanker", ["gaps", "inverse"], 1e-3),
-    ("tanker", ["errors", "trapezoid", "60"], 7.0),
-    ("tanker", ["second", "0.01"], 0.2),
-    ("tanker_cost", ["flat", "2000"], 2000.0),
-    ("tanker_cost", ["inverse", "2000"], 20.0),
-    ("tanker_measured", ["lost", 0], 1e-6),
     ("tanker_measured", ["warned", 0], False),
-    ("tanker_measured", ["mean", "average", 1], 15.7),
-    ("sailboat", ["terms", 0], 9),
     ("sailboat", ["exact"], 1e-3),
-    ("sailboat", ["dominant", 0], 9.0),
-    ("sailboat", ["chains", "coordinate", "code"], "converged"),
-    ("sailboat", ["shooting", "away"], 6.0),
     ("sailboat_coverage", ["mean", "exact"], 80.0),
-    ("sailboat_coverage", ["mean", "simpson"], 94.0),
-    ("sailboat_speed", ["forces", "K"], 5.0),
-    ("sailboat_speed", ["inside"], 8),
-    ("sailboat_speed", ["errors", 0], 30.0),
     ("torpedo", ["free"], 11),
-    ("torpedo", ["body_worst"], 10.0),
-    ("torpedo", ["known", "lambda_26"], 20.0),
-    ("torpedo", ["shooting", "error"], 1e-3),
     ("torpedo_swarm", ["misfits", 1], 1.1),
-    ("torpedo_swarm", ["worst", 2], 6.0),
-    ("torpedo_500_hz", ["largest", 5], 7.5),
 ]
 
 

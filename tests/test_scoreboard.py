@@ -18,7 +18,7 @@ from benchmarks.scoreboard import (
     silverbox,
     tanks,
 )
-from benchmarks.scoreboard.row import Row, attempted, columns
+from benchmarks.scoreboard.row import Row, columns
 from oed_sysid import Record, load_problem, simulate_inputs
 from oed_sysid.data.third_party import data_folder
 from oed_sysid.errors import DataError
@@ -41,12 +41,6 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def folder(data: Path) -> Path:
     """Where the roll decays of this data folder lie."""
     return data / roll_decay.FOLDER
-
-
-def test_unknown_board_is_refused() -> None:
-    """A wrong name ends with the names that there are."""
-    with pytest.raises(SystemExit, match="silverbox"):
-        board.main(["tank"])
 
 
 def test_reference_of_the_drive_slides_and_stops() -> None:
@@ -269,47 +263,7 @@ def test_damping_at_speed_is_fitted_to_the_first_half(folder: Path) -> None:
     assert "not separated, because" in both.note
 
 
-@MEASURED
-def test_a_bad_decay_leaves_the_other_rows(folder: Path) -> None:
-    """Files at fault have a row each that says why; the rows of the registered test stay."""
-    (folder / "model_test_1.csv").write_text("", encoding="utf-8")
-    (folder / "model_test_2.csv").write_text(HEADER_DECAYS + "\n0,0,0,0,0,0,0\n", encoding="utf-8")
-    (folder / "model_test_21340.csv").write_bytes(b"\x00\x01binary")
-    rows = roll_decay.score()
-    assert [row.ours for row in rows[:3]] == pytest.approx([0.0866, 0.0751, 0.0281], abs=1e-3)
-    notes = [row.note for row in rows if row.instead == "cannot be scored"]
-    assert [note.split(": ")[1] for note in notes] == [
-        "model_test_1.csv",
-        "model_test_2.csv",
-        "model_test_21340.csv",
-    ]
-    for note, words in zip(notes, ("no column t_s", "steps in time", "no column t_s"), strict=True):
-        assert words in note
-    assert rows[-1].ours == pytest.approx(0.0225, abs=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda t: t * [1, 1, 1, 1, 57.3, 1, 1], "Give radians"),
-        (lambda t: t[:2600], "turning points"),
-        (lambda t: np.delete(t, slice(4000, 4100), axis=0), "cut the log at its gaps"),
-        (lambda t: t[::-1], "Sort the rows"),
-        (lambda t: t * [1, 1, 1, 1, 0.05, 1, 1], "turning points"),
-    ],
-)
-def test_logs_that_are_no_decay_are_refused(tmp_path: Path, change, message: str) -> None:
-    """Degrees, a short test, gaps, reversed rows and rest are named."""
-    path = tmp_path / "model_test_99.csv"
-    stand_in(path, AT_REST, degrees=9.0, duration=60.0)
-    table = np.genfromtxt(path, delimiter=",", skip_header=1)
-    np.savetxt(path, change(table), delimiter=",", header=HEADER_DECAYS, comments="")
-    with pytest.raises(DataError, match=message):
-        roll_decay.read_decay(path, roll_decay.models()[roll_decay.FULL].channels)
-
-
 ZIGZAG = "esso_osaka/zigzag_31-Jul-2020_13_22_52.csv"
-TURN = "esso_osaka/turn_14-Sep-2020_13_39_32.csv"
 
 
 def test_a_board_that_fails_leaves_the_others(
@@ -327,57 +281,6 @@ def test_a_board_that_fails_leaves_the_others(
     page = output.read_text(encoding="utf-8")
     assert "| fine | 1 | - |" in page
     assert "cannot be scored: the board broken: unforeseen KeyError: 'a \\| b\\nc'" in page
-
-
-def test_rows_of_a_file_are_tried() -> None:
-    """What a file gives is kept; what goes wrong is told with its name, without the folder."""
-    row = Row("fine", 1.0, "-")
-    assert attempted("fine", "-", "a.csv", lambda: [row]) == [row]
-
-    def wrong() -> list[Row]:
-        raise DataError(f"{data_folder()}/a.csv is too short. Put a longer one there.")
-
-    (found,) = attempted("fine", "-", "a.csv", wrong)
-    assert found.cells()[1] == "cannot be scored"
-    assert found.note == (
-        "cannot be scored: a.csv: the data folder/a.csv is too short. Put a longer one there."
-    )
-
-
-def test_columns_are_read_by_name(tmp_path: Path) -> None:
-    """Their order does not matter; a column that is missing or holds no number is named."""
-    path = tmp_path / "table.csv"
-    path.write_text('\ufeffV2, V1,\n2,"1.5",\n\n4e0,-3,\n', encoding="utf-8")
-    assert np.stack(columns(path, "V1", "V2")) == pytest.approx(np.array([[1.5, -3.0], [2.0, 4.0]]))
-    for text, message in (
-        ("", "no column V1"),
-        ("V1,W\n3,4\n", "no column V2"),
-        ("V1,V2\n1,x\n", "not all finite"),
-        ("V1,V2\n1,nan\n", "not all finite"),
-        ("V1,V2\n1\n", "not all finite"),
-    ):
-        path.write_text(text, encoding="utf-8")
-        with pytest.raises(DataError, match=message):
-            columns(path, "V1", "V2")
-
-
-def test_silverbox_is_read_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """V1 and V2 in volts; a short record and one in millivolts are refused."""
-    monkeypatch.setenv("OED_SYSID_DATA", str(tmp_path))
-    monkeypatch.setattr(silverbox, "LENGTH", 500)
-    path = tmp_path / silverbox.WHOLE
-    path.parent.mkdir()
-    table = 0.1 * np.random.default_rng(0).standard_normal((500, 2))
-
-    def put(rows: np.ndarray) -> None:
-        np.savetxt(path, rows, delimiter=",", header="V1,V2", comments="")
-
-    put(table)
-    assert np.stack(silverbox.whole(), axis=1) == pytest.approx(table)
-    for rows, message in ((table[:400], "400 rows; expected the 500"), (1e3 * table, "Give volts")):
-        put(rows)
-        with pytest.raises(DataError, match=message):
-            silverbox.whole()
 
 
 def write_log(path: Path, table: np.ndarray, names: tuple[str, ...] = HEADER) -> None:

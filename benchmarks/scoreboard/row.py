@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,18 +96,14 @@ def columns(path: Path, *names: str) -> list[np.ndarray]:
     DataError
         If a column is not there, or holds what is no finite number.
     """
-    with path.open(newline="", encoding="utf-8-sig", errors="replace") as lines:
-        rows = [row for row in csv.reader(lines) if any(row)]
-    header = [cell.strip() for cell in rows[0]] if rows else []
-    if lacking := [name for name in names if name not in header]:
-        raise DataError(
-            f"{path.name} has no column {lacking[0]}. Expected {', '.join(names)}, separated by "
-            "commas below a header."
-        )
     try:
-        found = [np.array([float(row[header.index(name)]) for row in rows[1:]]) for name in names]
-    except (ValueError, IndexError):
-        found = [np.full(1, np.nan)]
-    if not all(np.isfinite(column).all() for column in found):
+        table = np.genfromtxt(path, delimiter=",", names=True, encoding="utf-8-sig")
+        found = [np.atleast_1d(table[name]) for name in names]
+    except (ValueError, IndexError) as error:
+        raise DataError(
+            f"{path.name} has no column {names[0]}, or not the others. Expected "
+            f"{', '.join(names)}, separated by commas below a header."
+        ) from error
+    if not np.isfinite(found).all():
         raise DataError(f"{path.name}: {', '.join(names)} are not all finite numbers.")
     return found
