@@ -16,6 +16,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from math import radians
 from pathlib import Path
 
@@ -23,7 +24,7 @@ import numpy as np
 
 from benchmarks.design import CRITERIA as OURS
 from benchmarks.design import remus
-from benchmarks.fit_peers import ipopt_program, run_peer
+from benchmarks.fit_peers import run_peer
 from benchmarks.harness import command, known, machine
 from oed_sysid import Experiment, Limits
 from oed_sysid.design import Design, Knowledge, Levels, Search, design_experiment
@@ -221,12 +222,10 @@ def main(
         starts that we refine
     """
     print(machine())
-    with ipopt_program():
-        designed(replace(CASES["small"], free=()))  # the kernel is compiled once
-        for name in cases:
-            for asked in criteria:
-                case, asked = CASES[known(name, CASES, "case")], known(asked, CRITERIA, "criterion")
-                compare(name, case, asked, python, starts=starts, begin_ours=begin == "ours")
+    designed(replace(CASES["small"], free=()))  # the kernel is compiled once
+    for name, asked in product(cases, criteria):
+        case, asked = CASES[known(name, CASES, "case")], known(asked, CRITERIA, "criterion")
+        compare(name, case, asked, python, starts=starts, begin_ours=begin == "ours")
 
 
 if __name__ == "__main__":

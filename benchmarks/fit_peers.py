@@ -14,19 +14,27 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import ONE_THREAD, Row, command, dive, ignorant, known, machine, scaled
+from benchmarks.harness import (
+    ONE_THREAD,
+    ROOT,
+    Row,
+    command,
+    dive,
+    ignorant,
+    known,
+    machine,
+    scaled,
+)
 from benchmarks.peers.fits import STEP
 from benchmarks.truth import NAMES
 from oed_sysid import Dataset, Fit, MultipleShooting, load_problem
@@ -78,9 +86,11 @@ def run_peer(
 
 
 def _run(words: Sequence[str], data: Path, python: str, longest: float) -> Row | str:
+    # Where there is no program ipopt, the one beside the peers stands in.
+    places = Path(python).parent, os.environ["PATH"], ROOT / "benchmarks" / "peers"
     environment = {
-        **os.environ, **ONE_THREAD, "PYTHONPATH": str(Path(__file__).resolve().parent.parent),
-        "PATH": f"{Path(python).parent}{os.pathsep}{os.environ['PATH']}",
+        **os.environ, **ONE_THREAD, "PYTHONPATH": str(ROOT), "CASADI_PYTHON": sys.executable,
+        "PATH": os.pathsep.join(map(str, places)),
     }  # fmt: skip
     command = [python, "-m", *words, str(data)]
     # In a group of its own, so that programs which the peer has called end with it.
@@ -101,26 +111,6 @@ def _run(words: Sequence[str], data: Path, python: str, longest: float) -> Row |
     return json.loads(lines[-1])
 
 
-@contextmanager
-def ipopt_program() -> Iterator[None]:
-    """A program named ipopt on the path; without one CasADi's IPOPT stands in."""
-    with tempfile.TemporaryDirectory() as folder:
-        before = os.environ["PATH"]
-        if shutil.which("ipopt") is None:
-            print("no program 'ipopt': CasADi's IPOPT stands in, with CasADi's derivatives")
-            program = Path(folder) / "ipopt"
-            program.write_text(
-                f'#!/bin/sh\nexec {sys.executable} -m benchmarks.peers.ipopt_program "$@"\n',
-                encoding="ascii",
-            )
-            program.chmod(0o755)
-            os.environ["PATH"] = f"{folder}{os.pathsep}{before}"
-        try:
-            yield
-        finally:
-            os.environ["PATH"] = before
-
-
 def compared(names: Sequence[str], share: float, pythons: Sequence[str]) -> Iterator[Row]:
     """Our fit, then each peer's, from one start."""
     model, data = task(share)
@@ -129,7 +119,7 @@ def compared(names: Sequence[str], share: float, pythons: Sequence[str]) -> Iter
     best = np.array([fit.values[name] for name in NAMES])
     errors = np.array([fit.std_errors[name] for name in NAMES])
     yield {"name": "", "start": share, "seconds": seconds}
-    with tempfile.TemporaryDirectory() as folder, ipopt_program():
+    with tempfile.TemporaryDirectory() as folder:
         path, record = Path(folder) / "dive.npz", data[0]
         np.savez(
             path, times=record.times, inputs=record.inputs, outputs=record.outputs, share=share

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Row, command, known
+from benchmarks.harness import Row, command, known, table_of
 from benchmarks.truth import gauss_markov, runge_kutta
 from oed_sysid import (
     Dataset,
@@ -448,20 +448,17 @@ def faults(seeds: range, only: str = "", crafts: Sequence[Craft] = ()) -> list[R
         for spoil in faults_of(craft):
             for place, size in enumerate(spoil.sizes) if only in spoil.kind else ():
                 found = [judged(craft, seed, spoil, size) for seed in seeds]
-                row: Row = {"vehicle": craft.name, "kind": spoil.kind,
-                            "signals": list(spoil.signals), "size": size, "place": place,
-                            "of": len(found)}  # fmt: skip
-                for at, key in enumerate(("first", "named", "suspect")):
-                    row[key] = sum(one[at] for one in found)
-                row["missed"] = ["", *(said for first, *_, said in found if not first)][-1]
-                rows.append(row)
-                print(
-                    f"{craft.name:12} {spoil.kind:12} {','.join(spoil.signals):9} {size:8.3g}  "
-                    f"first {row['first']} named {row['named']} suspect {row['suspect']} of "
-                    f"{row['of']}  {row['missed']}", flush=True,
+                counts = {
+                    key: sum(one[at] for one in found)
+                    for at, key in enumerate(("first", "named", "suspect"))
+                }
+                rows.append(
+                    {
+                        "vehicle": craft.name, "kind": spoil.kind, "signals": list(spoil.signals),
+                        "size": size, "place": place, "of": len(found), **counts,
+                        "missed": ["", *(said for first, *_, said in found if not first)][-1],
+                    }
                 )  # fmt: skip
-    total = {key: sum(row[key] for row in rows) for key in ("first", "named", "suspect", "of")}
-    print(", ".join(f"{key} {count}" for key, count in total.items()))
     return rows
 
 
@@ -495,7 +492,6 @@ def inputs(seeds: range, only: str = "", crafts: Sequence[Craft] = ()) -> list[R
         if said:
             counts = {words: said.count(words) for words in said}
             rows.append({"kind": kind, "said": counts, "of": len(said)})
-            print(f"{problem.model.input_names[0]} {kind:10} {counts}", flush=True)
     return rows
 
 
@@ -530,17 +526,10 @@ ACTED: dict[str, Callable[[np.ndarray, np.ndarray, int], np.ndarray]] = {
 def clean(seeds: range, only: str = "", crafts: Sequence[Craft] = ()) -> list[Row]:
     """False alarms on logs without a fault."""
     rows = list[Row]()
-    for craft, noise in product(crafts or CRAFT, _COLOURS):
-        alarms = list[str]()
-        for seed in seeds if only in noise else ():
-            found = check(written(craft, seed, noise=noise), craft.model, inputs=False)
-            alarms += [f"{seed}: {found.verdict[13:70]}"] * found.suspect
-        if only in noise:
-            rows.append({"vehicle": craft.name, "noise": noise, "suspect": len(alarms),
-                         "of": len(seeds)})  # fmt: skip
-            print(
-                f"{craft.name:12} {noise:10} {len(alarms)} of {len(seeds)} {alarms[:4]}", flush=True
-            )
+    for craft, noise in product(crafts or CRAFT, [one for one in _COLOURS if only in one]):
+        logs = (written(craft, seed, noise=noise) for seed in seeds)
+        alarms = sum(check(log, craft.model, inputs=False).suspect for log in logs)
+        rows.append({"vehicle": craft.name, "noise": noise, "suspect": alarms, "of": len(seeds)})
     return rows
 
 
@@ -593,24 +582,23 @@ def copies(seeds: range = range(1), only: str = "", crafts: Sequence[Craft] = ()
         rows.append({"spoilt": f"{one.kind} of {one.signals[0]}", "check": said,
                      "improve": result.remains.kind, "added": added,
                      "certified": certified})  # fmt: skip
-        print(" | ".join(map(str, rows[-1].values())), flush=True)
     return rows
 
 
 def as_they_are(seeds: range = range(1), only: str = "", crafts: Sequence[Craft] = ()) -> list[Row]:
     """What the check says of the hidden-effect cases, in two of which a sensor errs."""
-    rows = [
+    return [
         {"case": name, "check": check(records, own).verdict}
         for name, (own, records) in hidden_effect_cases().items()
     ]
-    for row in rows:
-        print(" | ".join(row.values()))
-    return rows
 
 
 PARTS: dict[str, Callable[..., list[Row]]] = {
     part.__name__: part for part in (faults, clean, inputs, copies, as_they_are)
 }
+
+
+COUNTED = ("first", "named", "suspect", "of", "certified")
 
 
 def main(
@@ -638,8 +626,14 @@ def main(
     """
     crafts = [craft for craft in CRAFT if vehicle in craft.name]
     wanted = [PARTS[known(part, PARTS, "part")] for part in parts]
-    found = [row for part in wanted for row in part(range(first, first + seeds), kind, crafts)]
-    return sum(bool(row.get("certified")) for row in found)
+    certified = 0
+    for part in wanted:
+        rows = part(range(first, first + seeds), kind, crafts)
+        counts = {key: sum(row[key] for row in rows if key in row) for key in COUNTED}
+        told = ", ".join(f"{key} {n}" for key, n in counts.items() if any(key in r for r in rows))
+        print(*table_of(rows), "", told, sep="\n", flush=True)
+        certified += counts["certified"]
+    return certified
 
 
 if __name__ == "__main__":

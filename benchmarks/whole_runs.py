@@ -1,11 +1,10 @@
 """Whole runs: does a fit say where process noise holds physics, and which values replay best?
 
-    OMP_NUM_THREADS=1 python -m benchmarks.whole_runs [kinds] [--cases 40] [--first 0]
+    OMP_NUM_THREADS=1 python -m benchmarks.whole_runs "single/white:40 unknown/white:40"
 
-``single/...``, ``unknown/...`` and ``pair/...`` hide effects of `benchmarks.missing_physics` from
-the nominal model of the diving plane; ``none/...`` hide nothing. ``measured`` are nominal models on
-measured records, of which some are left out (:data:`MEASURED`). Where disturbances alone act,
-`benchmarks.random_forces` counts the same.
+Cases are those of a plan of `benchmarks.missing_physics`, whose effects the nominal model of the
+diving plane lacks, and nominal models on measured records, of which some are left out
+(:data:`MEASURED`). Where disturbances alone act, `benchmarks.random_forces` counts the same.
 
 ``said`` is the share of fits with process noise that say that it has taken the work of physics
 (``fit.whole_runs.said``); ``replay`` the whole-run error on records left out, start states
@@ -21,12 +20,12 @@ from functools import partial
 import numpy as np
 
 from benchmarks.harness import RESULTS, Row, Store, grouped, study, tabulate
-from benchmarks.missing_physics.cases import draws, simulate_draws
+from benchmarks.missing_physics.cases import Draw, draws, simulate_draws
 from benchmarks.missing_physics.judge import datasets, nominal
 from oed_sysid import Dataset, Model, MultipleShooting, load_problem, replayed
 from oed_sysid.likelihood.whole_runs import rms, whole_runs
 
-KINDS = ("single/white", "unknown/white", "none/force_mid", "none/gust_mid", "measured")
+PLAN = "single/white:40 unknown/white:40 none/force_mid:40 none/gust_mid:40"
 # Problem, or problem and variant, and the records left out.
 MEASURED = (
     *(("kvlcc2", (run,)) for run in ("10_05", "15_05", "20_05", "25_05")),
@@ -40,20 +39,17 @@ MEASURED = (
 )
 
 
-def hidden(kind: str, number: int) -> Row:
+def hidden(draw: Draw) -> Row:
     """One case of the diving plane."""
-    ((case, records),) = simulate_draws(draws(f"{kind}:{number}-{number + 1}"))
-    found = nominal_runs(nominal().model, *datasets(nominal(), records))
-    return {"effects": dict(case.effects), **found}
+    ((_, records),) = simulate_draws([draw])
+    return nominal_runs(nominal().model, *datasets(nominal(), records))
 
 
-def measured(number: int) -> Row:
+def measured(name: str, left_out: Sequence[str]) -> Row:
     """One set of measured records."""
-    name, left_out = MEASURED[number]
     title, _, variant = name.partition("/")
     problem = load_problem(title, variant=variant or None)
-    train, test = problem.data().split(left_out)
-    return {"set": [name, *left_out], **nominal_runs(problem.model, train, test)}
+    return nominal_runs(problem.model, *problem.data().split(left_out))
 
 
 def nominal_runs(model: Model, train: Dataset, test: Dataset) -> Row:
@@ -80,13 +76,12 @@ def nominal_runs(model: Model, train: Dataset, test: Dataset) -> Row:
     }
 
 
-def case(kind: str, number: int) -> Row:
+def case(kind: str, number: int, ask: Callable[[], Row]) -> Row:
     """One case, or what it raised."""
     try:
-        found = measured(number) if kind == "measured" else hidden(kind, number)
+        return {"key": [kind, number], **ask()}
     except Exception as error:  # counted, not stopped at
-        found = {"error": f"{type(error).__name__}: {error}"}
-    return {"key": [kind, number], **found}
+        return {"key": [kind, number], "error": f"{type(error).__name__}: {error}"}
 
 
 def percent(values: Sequence[bool]) -> str:
@@ -126,26 +121,17 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join(tabulate(grouped(rows, lambda row: row["key"][0]), COLUMNS))
 
 
-def cases(
-    kinds: Sequence[str] = KINDS, *, cases: int = 40, first: int = 0
-) -> dict[tuple[str, int], partial[Row]]:
-    """Cases of some kinds.
+def cases(plan: str = PLAN) -> dict[tuple[str, int], partial[Row]]:
+    """Cases of a plan, and the measured records.
 
     Parameters
     ----------
-    kinds : sequence of str
-        of cases; all by default
-    cases : int
-        of each kind
-    first : int
-        number of the first
+    plan : str
+        kinds of cases and how many, as "single/white:40 none/white:10-20"
     """
-    numbers = range(first, first + cases)
-    return {
-        (kind, number): partial(case, kind, number)
-        for kind in kinds
-        for number in (range(len(MEASURED)) if kind == "measured" else numbers)
-    }
+    asked = {(f"{d.hidden}/{d.condition}", d.number): partial(hidden, d) for d in draws(plan)}
+    asked |= {("measured", i): partial(measured, *one) for i, one in enumerate(MEASURED)}
+    return {key: partial(case, *key, ask) for key, ask in asked.items()}
 
 
 if __name__ == "__main__":

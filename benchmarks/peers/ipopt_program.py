@@ -1,9 +1,8 @@
 """Stand-in for the program ``ipopt``: reads an AMPL ``.nl`` file, solves by the IPOPT of CasADi.
 
-Pyomo calls its solvers as programs, and no package of PyPI brings this one. A
-shell script named ``ipopt`` on the path that hands its arguments to
-``python -m benchmarks.peers.ipopt_program`` serves instead. The solver is the
-same; derivatives come from CasADi rather than from AMPL's library.
+Pyomo calls its solvers as programs, and no package of PyPI brings this one. The script ``ipopt`` in
+this folder, last on the path of a peer, hands its arguments on to here. The solver is the same;
+derivatives come from CasADi rather than from AMPL's library.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ with :math:`q = \partial \log S` the gradient and the expected information are
 
 and Fisher's scoring, damped after Levenberg and Marquardt, finds the maximum.
 It knows which kinds of noise act (see :func:`structure`), not how large they
-are; spiked samples it leaves out. No code of the package is used.
+are. No code of the package is used.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -293,10 +293,7 @@ def maximise(
 
 def reference(scenario: Scenario, data: Set) -> Maximum:
     """What full maximum likelihood makes of one data set."""
-    runs = data.runs
-    if scenario.spikes:
-        runs = tuple(replace(run, outputs=np.where(run.spike, np.nan, run.outputs)) for run in runs)
-    return maximise(VEHICLES[scenario.vehicle], runs, structure(scenario), data.truth)
+    return maximise(VEHICLES[scenario.vehicle], data.runs, structure(scenario), data.truth)
 
 
 STORE = Store(RESULTS / "reference.jsonl")

@@ -232,10 +232,6 @@ class Scenario:
     colour : float
         First-order autoregressive coefficient of the noise of output ``coloured``.
     coloured : int
-    spikes : float
-        Share of samples with a spike of ``spike_size`` standard deviations.
-    one_sided : bool
-        All spikes go up.
     fin_noise : float
         White noise of the logged first input, deg.
     missing : float
@@ -261,9 +257,6 @@ class Scenario:
     level: float = 1.0
     colour: float = 0.0
     coloured: int = 3
-    spikes: float = 0.0
-    spike_size: float = 10.0
-    one_sided: bool = False
     fin_noise: float = 0.0
     missing: float = 0.0
     dropped: float = 0.0

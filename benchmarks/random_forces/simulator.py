@@ -40,7 +40,6 @@ class Run:
     clean : ndarray (n_times, n_outputs)
         The states.
     force : ndarray (n_times, n_forces)
-    spike : ndarray of bool (n_times, n_outputs)
     local : dict
         Parameters of this record.
     """
@@ -51,7 +50,6 @@ class Run:
     outputs: np.ndarray
     clean: np.ndarray
     force: np.ndarray
-    spike: np.ndarray
     local: dict[str, float]
 
 
@@ -165,9 +163,8 @@ def simulate(scenario: Scenario, seed: int, numbers: Sequence[int]) -> list[Set]
 class _Column:
     """One manoeuvre of one data set and all its random numbers.
 
-    Disturbance forces at the fine step, sensor noise, spikes in standard
-    deviations, samples that are absent, noise of the logged fin, parameters of
-    the record.
+    Disturbance forces at the fine step, sensor noise, samples that are absent, noise of the logged
+    fin, parameters of the record.
     """
 
     def __init__(
@@ -181,9 +178,8 @@ class _Column:
         vehicle = VEHICLES[scenario.vehicle]
         self.manoeuvre, self.truth = manoeuvre, truth
         self.n = round((manoeuvre.duration or vehicle.duration) / vehicle.sample_time) + 1
-        force, noise, spike, fin, zero = (
-            stream(seed, number, manoeuvre.name, part)
-            for part in ("force", "noise", "spikes", "fin", "zero")
+        force, noise, fin, zero = (
+            stream(seed, number, manoeuvre.name, part) for part in ("force", "noise", "fin", "zero")
         )
         h = vehicle.sample_time / vehicle.substeps
         n_forces = len(vehicle.forces)
@@ -204,10 +200,6 @@ class _Column:
             column = scenario.coloured
             white[:, column] = gauss_markov(white[:, column], scenario.colour)
         self.noise = white * scenario.level * np.array(vehicle.noise_std)
-        chosen = spike.random(white.shape) < scenario.spikes
-        sign = np.where(spike.random(white.shape) < 0.5, -1.0, 1.0)
-        self.spike = np.where(chosen, 1.0 if scenario.one_sided else sign, 0.0)
-        self.spike *= scenario.spike_size
         gaps = stream(seed, number, manoeuvre.name, "gaps")
         self.absent = gaps.random(white.shape) < scenario.missing
         self.absent |= gaps.random((self.n, 1)) < scenario.dropped
@@ -300,7 +292,7 @@ def _run(scenario: Scenario, column: _Column, inputs: np.ndarray, clean: np.ndar
     """One record as it is logged."""
     vehicle = VEHICLES[scenario.vehicle]
     logged = inputs.copy()
-    outputs = clean + column.noise + np.array(vehicle.noise_std) * column.spike
+    outputs = clean + column.noise
     if scenario.dropped:
         column.absent[1:][np.any(np.diff(logged, axis=0) != 0.0, axis=1)] = False
     logged[:, 0] += column.fin_noise
@@ -311,6 +303,5 @@ def _run(scenario: Scenario, column: _Column, inputs: np.ndarray, clean: np.ndar
         np.where(column.absent, np.nan, outputs),
         clean,
         column.force[:: vehicle.substeps],
-        column.spike != 0,
         column.local,
     )

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -276,15 +277,16 @@ def score() -> list[Row]:
     if paths:
         registered = Dataset((decay(RELEASE, END, REGISTERED),))
         fits = {name: ESTIMATOR.fit(model, registered) for name, model in candidates.items()}
+
+    def score_one(path: Path) -> list[Row]:
+        one = read_decay(path, problem.model.channels)
+        if one.towed:
+            return at_speed(one, fits)
+        tests.append(one)
+        return at_rest(one, fits)
+
     for path in paths:
-
-        def score_one(path=path) -> list[Row]:
-            one = read_decay(path, problem.model.channels)
-            if not one.towed:
-                tests.append(one)
-            return at_speed(one, fits) if one.towed else at_rest(one, fits)
-
-        rows += attempted(f"roll decay {path.stem}", "-", path.name, score_one)
+        rows += attempted(f"roll decay {path.stem}", "-", path.name, partial(score_one, path))
     rows += attempted(
         "roll decay, tests at zero speed fitted together",
         "-",

@@ -63,6 +63,15 @@ def missing(what: str, published: str, path: str, content: str) -> Row:
     return Row(what, None, published, note=f"put {content} at `{path}` in the data folder")
 
 
+def held_back(
+    what: str, published: str, path: str, content: str, score: Callable[[], Iterable[Row]]
+) -> list[Row]:
+    """The rows of a file if it is at hand, else the row that says what to put where."""
+    if not place(path).is_file():
+        return [missing(what, published, path, content)]
+    return attempted(what, published, path, score)
+
+
 def reason(error: Exception) -> str:
     """What went wrong, in words and without the place of the data folder."""
     text = " ".join(str(error).split()).replace(str(data_folder()), "the data folder")
