@@ -46,10 +46,9 @@ DURATION, SAMPLE = 90.0, 0.1
 
 def record(problem: Problem, case: Case, commands: np.ndarray | None = None) -> Record:
     """Simulate the first dive, or given commands, with what is true."""
-    given = None if commands is None else commands[None, None]
-    (found,) = simulate([case], [FIRST], commands=given)
+    ((found,),) = simulate([case], [FIRST], commands=commands)
     name = FIRST.name if commands is None else "designed"
-    return Record(name, found.times, found.inputs[0], found.outputs[0], problem.channels)
+    return Record(name, found.times, found.inputs, found.outputs, problem.channels)
 
 
 def pairs(problem: Problem) -> list[tuple[str, str, float, float]]:

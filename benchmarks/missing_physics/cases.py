@@ -146,12 +146,10 @@ def simulate_draws(wanted: Sequence[Draw]) -> list[tuple[Case, list[Records]]]:
     left = list(wanted)
     for attempt in range(ATTEMPTS):
         trial = [case(draw, attempt) for draw in left]
-        records = simulate(trial, (*TRAIN, *TEST))
-        for row, draw in enumerate(left):
-            parts = [Records(r.times, r.inputs[row], r.clean[row], r.outputs[row]) for r in records]
+        for draw, own, parts in zip(left, trial, simulate(trial, (*TRAIN, *TEST)), strict=True):
             pitch = max(np.max(np.abs(part.clean[:, 3])) for part in parts)
             if np.isfinite(pitch) and pitch < STEEPEST:
-                done[draw] = trial[row], parts
+                done[draw] = own, parts
         left = [draw for draw in wanted if draw not in done]
         if not left:
             return [done[draw] for draw in wanted]

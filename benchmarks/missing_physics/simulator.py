@@ -201,14 +201,14 @@ TEST = (
 
 @dataclass(frozen=True)
 class Records:
-    """Simulated records, one row of each array per case.
+    """One simulated manoeuvre.
 
     Attributes
     ----------
     times : ndarray (n_times,)
-    inputs : ndarray (n_cases, n_times, 2)
+    inputs : ndarray (n_times, 2)
         Fin command [rad] and thrust [N].
-    clean, outputs : ndarray (n_cases, n_times, 5)
+    clean, outputs : ndarray (n_times, 5)
         Outputs without and with noise.
     """
 
@@ -223,7 +223,7 @@ def simulate(
     manoeuvres: Sequence[Manoeuvre],
     *,
     commands: np.ndarray | None = None,
-) -> list[Records]:
+) -> list[list[Records]]:
     """Simulate manoeuvres for many cases, all side by side.
 
     Parameters
@@ -231,23 +231,39 @@ def simulate(
     cases : sequence of Case
     manoeuvres : sequence of Manoeuvre
         Each starts from level trim at 10 m.
-    commands : ndarray (n_manoeuvres, n_cases, n_times, 2), optional
+    commands : ndarray (n_cases, n_manoeuvres, n_times, 2), optional
         Commands to replay in place of the manoeuvres' own.
 
     Returns
     -------
-    list of Records
-        One per manoeuvre.
+    list of list of Records
+        The manoeuvres of every case.
     """
     times = np.arange(round(DURATION / SAMPLE) + 1) * SAMPLE
-    rows = [(case, manoeuvre) for manoeuvre in manoeuvres for case in cases]
+    rows = [(case, manoeuvre) for case in cases for manoeuvre in manoeuvres]
     # Of each record the forces are drawn first, then the noise.
     forces, noise = zip(*(_drawn(case, run, len(times)) for case, run in rows), strict=True)
-    given = None if commands is None else commands.reshape(len(rows), len(times), 2)
-    inputs, clean = _integrated(rows, len(times), np.stack(forces, 2), given)
-    arrays = (inputs, clean, clean + np.stack(noise))
-    parts = zip(*(np.split(one, len(manoeuvres)) for one in arrays), strict=True)
-    return [Records(times, *part) for part in parts]
+    truth = Truth([case for case, _ in rows])
+    thrust = np.array([manoeuvre.thrust for _, manoeuvre in rows])
+    pilot = _pilot([manoeuvre for _, manoeuvre in rows])
+    inputs = np.zeros((len(rows), len(times), 2))
+    clean = np.zeros((len(rows), len(times), 5))
+    given = None if commands is None else commands.reshape(inputs.shape)
+
+    def command(k: int, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        wanted = np.column_stack([pilot(k, state[3]), thrust]) if given is None else given[:, k]
+        inputs[:, k] = wanted
+        return inputs[:, k, 0], inputs[:, k, 1]
+
+    start = np.sqrt(thrust / -truth.derivatives["X_uu"]), np.full(len(rows), FIRST_DEPTH)
+    for k, state in integrate(truth, start, np.stack(forces, 2), command):
+        if k is not None:
+            clean[:, k] = truth.measure(state).T
+            last = state
+    command(len(times) - 1, last)  # which acts on nothing
+    found = [Records(times, *one) for one in zip(inputs, clean, clean + noise, strict=True)]
+    n = len(manoeuvres)
+    return [found[first : first + n] for first in range(0, len(found), n)]
 
 
 def integrate(
@@ -286,33 +302,6 @@ def integrate(
                 given = k * SAMPLE + sub * STEP, fin.advance(sub), thrust, forces[k]
                 state = runge_kutta(truth.rate, state, STEP, *given)
                 yield None, state
-
-
-def _integrated(
-    rows: Sequence[tuple[Case, Manoeuvre]],
-    n_times: int,
-    forces: np.ndarray,
-    given: np.ndarray | None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Commands ``(n_rows, n_times, 2)`` and outputs without noise ``(n_rows, n_times, 5)``."""
-    truth = Truth([case for case, _ in rows])
-    thrust = np.array([manoeuvre.thrust for _, manoeuvre in rows])
-    pilot = _pilot([manoeuvre for _, manoeuvre in rows])
-    inputs = np.zeros((len(rows), n_times, 2))
-    clean = np.zeros((len(rows), n_times, 5))
-
-    def command(k: int, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        wanted = np.column_stack([pilot(k, state[3]), thrust]) if given is None else given[:, k]
-        inputs[:, k] = wanted
-        return inputs[:, k, 0], inputs[:, k, 1]
-
-    start = np.sqrt(thrust / -truth.derivatives["X_uu"]), np.full(len(rows), FIRST_DEPTH)
-    for k, state in integrate(truth, start, forces, command):
-        if k is not None:
-            clean[:, k] = truth.measure(state).T
-            last = state
-    command(n_times - 1, last)  # which acts on nothing
-    return inputs, clean
 
 
 def _pilot(manoeuvres: Sequence[Manoeuvre]) -> Callable[[int, np.ndarray], np.ndarray]:
