@@ -4,10 +4,10 @@
 
 The task and how each peer is used stand in :mod:`benchmarks.peers.fits`. Every peer runs in a
 process of its own, with the first interpreter of ``--python`` that has it (``pip install do-mpc
-numba optimistix jax pypesto[amici,petab,fides] antimony swig pyomo pandas pints`` and ``pip install
-pybop numba`` in two environments). Times are processor times of the solution alone. *Off* is the
-largest distance from our estimates in our standard errors: the optimum is the same, so more than
-about one means that it was not found, and the time of such a peer says nothing.
+numba optimistix jax pypesto[amici,petab,fides] antimony swig pyomo pandas``). Times are processor
+times of the solution alone. *Off* is the largest distance from our estimates in our standard
+errors: the optimum is the same, so more than about one means that it was not found, and the time of
+such a peer says nothing.
 """
 
 from __future__ import annotations
@@ -51,8 +51,6 @@ PEERS = {
     "optimistix_scan": ("Optimistix over a JAX scan", 2.0),
     "pypesto_amici": ("pyPESTO over AMICI", 2.0),
     "parmest_collocation": ("Pyomo parmest, trapezoidal rule", 50.0),
-    "pints_cma": ("PINTS, CMA-ES over the numba simulator", 50.0),
-    "pybop_lbfgs": ("PyBOP, L-BFGS over the numba simulator", 50.0),
 }
 
 

@@ -88,7 +88,6 @@ KINDS |= {
 KINDS["bursts"] = partial(groups, kind="bursts", share=0.02, lengths=(2, 5))
 for name in ("zeros", "absent", "held"):
     KINDS[name] = partial(groups, kind=name, share=0.02, lengths=(5, 20))
-FEW = ("0.5%_20", "2%_5", "2%_20", "2%_20_up", "2%_50", "5%_20", "2%_mixed", "bursts", "zeros")
 
 
 def fitted(world: str, data: Set, spoil: Spoil | None, seed: int, loss: str = "auto") -> Outcome:
@@ -178,7 +177,6 @@ def cases(
     sets: int = 100,
     seed: int = 0,
     kinds: Sequence[str] = ("clean", *KINDS),
-    few: bool = False,
 ) -> dict[tuple[object, ...], partial[Row]]:
     """Kinds of spoilt samples in some worlds.
 
@@ -192,11 +190,8 @@ def cases(
         of the data sets
     kinds : sequence of str
         what spoils them; all by default
-    few : bool
-        ten kinds only
     """
-    chosen = ("clean", *FEW) if few else kinds
-    pairs = product(worlds, [known(kind, ("clean", *KINDS), "kind") for kind in chosen])
+    pairs = product(worlds, [known(kind, ("clean", *KINDS), "kind") for kind in kinds])
     keys = [(known(world, SCENARIOS, "world"), kind, sets, seed) for world, kind in pairs]
     return {key: partial(case, *key) for key in keys}
 

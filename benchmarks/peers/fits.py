@@ -272,38 +272,6 @@ def parmest_collocation() -> tuple[Solver, float, int]:
     return solve, 0.0, 1
 
 
-def pints_cma() -> tuple[Solver, float, int]:
-    """PINTS (its *optimisation first example*): CMA-ES, default stopping rules."""
-    import pints
-
-    _, inputs, outputs, start = load()
-    residuals = compiled()
-    scale = np.where(start != 0, np.abs(start), 1.0)
-
-    class Misfit(pints.ErrorMeasure):
-        """To be minimised."""
-
-        def __call__(self, shares: np.ndarray) -> float:
-            found = residuals(np.asarray(shares) * scale, inputs, outputs)
-            return float(min(0.5 * found @ found, 1e15))
-
-        def n_parameters(self) -> int:
-            return len(scale)
-
-    Misfit()(start / scale)
-    np.random.seed(1)  # noqa: NPY002  (PINTS draws from the global generator)
-
-    def solve() -> np.ndarray:
-        controller = pints.OptimisationController(
-            Misfit(), start / scale, sigma0=0.1 * np.ones(13), method=pints.CMAES
-        )
-        controller.set_log_to_screen(False)
-        controller.set_max_iterations(3000)
-        return (controller.run()[0] * scale)[:8]
-
-    return solve, 0.0, 1
-
-
 def pypesto_amici() -> tuple[Solver, float, int]:
     """PyPESTO (its *AMICI in pyPESTO* example): sensitivities, Fides, Fisher information."""
     import amici.sim.sundials as sundials
@@ -401,51 +369,6 @@ def optimistix_scan() -> tuple[Solver, float, int]:
     return solve, build, 7
 
 
-def pybop_lbfgs() -> tuple[Solver, float, int]:
-    """PyBOP with a simulator of one's own and its ``SciPyMinimize``: L-BFGS-B, differences."""
-    import pybop
-
-    _, inputs, outputs, start = load()
-    residuals = compiled()
-    scale = np.append(np.abs(start[:8]), NOISE)
-    residuals(start, inputs, outputs)
-    names = [f"k{j}" for j in range(13)]
-
-    class Dive(pybop.BaseSimulator):
-        """Weighted residuals as one output."""
-
-        def set_output_variables(self, target: list[str]) -> None:
-            """There is one."""
-
-        def solve_batch(self, inputs: list, calculate_sensitivities: bool = False) -> list:
-            """Simulate each set of parameters."""
-            found = []
-            for values in inputs:
-                unknowns = np.array([values[name] for name in names]) * scale
-                solution = pybop.Solution(values)
-                left = residuals(unknowns, commands, outputs)
-                solution.set_solution_variable("residual", data=np.clip(left, -1e6, 1e6))
-                found.append(solution)
-            return found
-
-    commands = inputs
-    unknown = {
-        name: pybop.Parameter(initial_value=float(value), bounds=[value - 10.0, value + 10.0])
-        for name, value in zip(names, start / scale, strict=True)
-    }
-    nothing = np.zeros(outputs.size)
-    data = pybop.Dataset({"Time [s]": np.arange(outputs.size, dtype=float), "residual": nothing})
-    cost = pybop.SumSquaredError(data, target="residual")
-    problem = pybop.Problem(Dive(pybop.Parameters(unknown)), cost)
-    options = pybop.SciPyMinimizeOptions(method="L-BFGS-B", maxiter=2000, tol=1e-12)
-
-    def solve() -> np.ndarray:
-        found = pybop.SciPyMinimize(problem, options=options).run()
-        return (np.asarray(found.x) * scale)[:8]
-
-    return solve, 0.0, 1
-
-
 # What each needs, whose versions are reported.
 TOOLS: dict[Callable[[], tuple[Solver, float, int]], tuple[str, ...]] = {
     casadi_expanded: ("casadi",),
@@ -455,8 +378,6 @@ TOOLS: dict[Callable[[], tuple[Solver, float, int]], tuple[str, ...]] = {
     optimistix_scan: ("optimistix", "jax"),
     pypesto_amici: ("pypesto", "amici", "fides"),
     parmest_collocation: ("pyomo",),
-    pints_cma: ("pints", "numba"),
-    pybop_lbfgs: ("pybop", "numba"),
 }
 
 if __name__ == "__main__":

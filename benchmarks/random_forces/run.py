@@ -17,7 +17,7 @@ from benchmarks.random_forces.trial import Outcome, outcome
 
 STORE = Store(RESULTS / "random_forces.jsonl")
 SETS, SEED = 40, 0
-KINDS = ("auto", "none", "all", "known")
+KINDS = ("auto", "none", "all")
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def cases(
     seed : int
         of the data sets
     disturbances : str
-        auto, none, all, known (swell) or names as Z,M
+        auto, none, all or names as Z,M
     fit_only : bool
         no predictions: much quicker
     loss : str

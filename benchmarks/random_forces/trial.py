@@ -11,18 +11,16 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import ignorant
-from benchmarks.random_forces.scenarios import DATA, VEHICLES, Scenario, Vehicle
+from benchmarks.random_forces.scenarios import DATA, VEHICLES, Scenario
 from benchmarks.random_forces.simulator import Run, Set, believed
 from oed_sysid import (
     Dataset,
     Fit,
-    Force,
     Input,
     Model,
     MultipleShooting,
     Output,
     Parameter,
-    Sea,
     State,
     load_problem,
 )
@@ -74,59 +72,23 @@ class Outcome:
     said: bool = False
 
 
-# Width of a JONSWAP spectrum at half its power.
-JONSWAP_WIDTH = 0.2
-
-
 @lru_cache(maxsize=4)
 def nominal_model(vehicle: str) -> Model:
-    """The nominal model without priors."""
+    """The nominal model without priors: every state measured, equations as a user writes them."""
     if vehicle == "remus":
         return ignorant(load_problem("remus_diving_plane").model)
-    if vehicle in DATA["equations"]:
-        return _manoeuvring(VEHICLES[vehicle])
-    yaw = VEHICLES["yaw"]
-    hull = Force(
-        "hull",
-        {"N": "N_r*r + N_absrr*abs(r)*r + N_delta*(rudder + rudder_zero)"},
-        parameters=(
-            Parameter("N_r", -0.125, "1/s"),
-            Parameter("N_absrr", -1.0, "1"),
-            Parameter("N_delta", 0.015, "1/s^2"),
-            Parameter("rudder_zero", 0.0, "rad", scale=0.03, per_record=True),
-        ),
-    )
-    psi, rate = yaw.noise_std
+    own, units = VEHICLES[vehicle], DATA["units"]
+    states = zip(own.states, own.noise_std, strict=True)
+    shared = (Parameter(name, value, scale=abs(value)) for name, value in own.believed.items())
+    by_record = (Parameter(n, 0.0, scale=std, per_record=True) for n, std in own.local.items())
     return Model(
-        name="yaw with a rudder zero",
-        states=(State("psi", "rad", scale=0.5), State("r", "rad/s", scale=0.03)),
-        inputs=(Input("rudder", "rad"),),
-        outputs=(
-            Output("psi", "rad", noise_std=psi),
-            Output("r", "rad/s", noise_std=rate),
-        ),
-        axes={"N": "r"},
-        inertia={("N", "r"): "1"},
-        kinematics={"psi": "r"},
-        effects=(hull,),
-        step=yaw.sample_time,
-    )
-
-
-def _manoeuvring(vehicle: Vehicle) -> Model:
-    """A vehicle of which every state is measured, its equations as a user writes them."""
-    units = DATA["units"]
-    states = zip(vehicle.states, vehicle.noise_std, strict=True)
-    return Model(
-        name=vehicle.name,
-        states=tuple(State(name, units[name]) for name in vehicle.states),
+        name=vehicle,
+        states=tuple(State(name, units[name]) for name in own.states),
         inputs=(Input("rudder", "rad"),),
         outputs=tuple(Output(name, units[name], noise_std=std) for name, std in states),
-        kinematics={name: DATA["equations"][vehicle.name][name] for name in vehicle.states},
-        parameters=tuple(
-            Parameter(name, value, scale=abs(value)) for name, value in vehicle.believed.items()
-        ),
-        step=min(vehicle.sample_time, 0.5),
+        kinematics={name: DATA["equations"][vehicle][name] for name in own.states},
+        parameters=(*shared, *by_record),
+        step=min(own.sample_time, 0.5),
     )
 
 
@@ -142,20 +104,6 @@ def dataset(scenario: Scenario, model: Model, runs: Sequence[Run]) -> Dataset:
     return Dataset(tuple(records))
 
 
-def true_sea(scenario: Scenario) -> Sea:
-    """The resonator nearest to the swell of a scenario: its levels, its peak and its width."""
-    names = VEHICLES[scenario.vehicle].forces
-    levels = dict(zip(names, scenario.force, strict=True))
-    return Sea(period=scenario.swell, bandwidth=JONSWAP_WIDTH, levels=levels)
-
-
-def estimator(scenario: Scenario, settings: Mapping[str, Any]) -> MultipleShooting:
-    """Multiple shooting with the settings of the command line."""
-    if settings.get("disturbances") == "known":
-        settings = {**settings, "disturbances": true_sea(scenario)}
-    return MultipleShooting(**{name: v for name, v in settings.items() if name != "predict"})
-
-
 def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outcome:
     """Fit a data set, predict its fresh record, and keep what matters."""
     model = nominal_model(scenario.vehicle).with_values(believed(scenario))
@@ -164,7 +112,8 @@ def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outco
     names = tuple(VEHICLES[scenario.vehicle].believed)
     began = time.process_time()
     try:
-        fit = estimator(scenario, settings).fit(model, dataset(scenario, model, data.runs))
+        estimator = MultipleShooting(**{n: v for n, v in settings.items() if n != "predict"})
+        fit = estimator.fit(model, dataset(scenario, model, data.runs))
     except Exception as error:  # a benchmark counts failures, it does not stop at them
         empty = dict.fromkeys(names, float("nan"))
         kind = f"raised {type(error).__name__}: {error}"

@@ -59,7 +59,7 @@ def rate(x: np.ndarray, d: np.ndarray, p: Sizes, h: Sizes, f: np.ndarray) -> np.
 
 
 def measure(x: np.ndarray, p: Sizes, h: Sizes) -> np.ndarray:
-    """Speeds, yaw rate, heading and position; the log may be turned or off the origin."""
+    """Speeds, yaw rate, heading and position; the log may be turned or astern of the origin."""
     turn, ahead = h.get("misalignment", 0.0), h.get("lever_arm", 0.0)
     u, v, r = x[:3]
     return np.stack([u - turn * v, v + turn * u - ahead * r, r, x[3], x[4], x[5]])
