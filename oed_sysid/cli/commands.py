@@ -611,7 +611,8 @@ def missing_physics(
     harness = importlib.import_module("benchmarks.harness")
     kept = study.STORE if out is None else harness.Store(out / "missing_physics.jsonl")
     wanted = study.cases(plan or study.PLAN)
-    rows = harness.run_cases(kept, wanted, study.calls, n_jobs=jobs, say=note)
+    told = {"tell": study.rates.summary, "say": note}
+    rows = harness.run_cases(kept, wanted, study.calls, n_jobs=jobs, **told)
     found, text = study.measures(rows), study.table(rows)
     rates = (f"{one['name']} {one['value']:.3g} of {one['count']}" for one in found["rates"][:2])
     answer(f"{found['n_cases']} cases: {'; '.join(rates)}.", text)
