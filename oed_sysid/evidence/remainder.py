@@ -19,8 +19,7 @@ adequate           sensor noise alone
 The likelihood with disturbance forces is compared with that without, everything else estimated
 anew. Where they bring less than chance may, whole runs are judged without them: a verdict is asked
 with the noise that it names. A force is asked whether its level is the same on the validation
-records and all along the training records, and whether it follows motion and commands
-(:mod:`oed_sysid.likelihood.laws`).
+records and whether it follows motion and commands (:mod:`oed_sysid.likelihood.laws`).
 """
 
 from __future__ import annotations
@@ -30,13 +29,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
-from oed_sysid.likelihood.laws import KNOTS, Law, laws
+from oed_sysid.likelihood.laws import Law, laws
 from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.likelihood.whole_runs import WholeRuns
 from oed_sysid.runtime.display import as_dict
@@ -44,9 +42,6 @@ from oed_sysid.runtime.display import as_dict
 # Twice the log-likelihood that disturbances may gain before they count as real: what chance rarely
 # gives of a level and its time at fourteen places.
 REMAINDER_LIMIT = threshold(14, 2)
-# Parts of the training records in which a disturbance has to be the same: those between the knots
-# of functions of the time.
-PARTS = KNOTS - 1
 
 
 @dataclass(frozen=True)
@@ -68,9 +63,6 @@ class RandomForceFound:
         Whether the validation records tell the levels estimated there from those of the training.
     narrow_band : bool
         Whether it is that of a sea.
-    along : tuple of float
-        Its levels in equal parts of the training records, in their order, where these tell levels
-        estimated there from those of the whole; else empty.
     """
 
     place: str
@@ -81,12 +73,10 @@ class RandomForceFound:
     elsewhere: float
     told: bool = True
     narrow_band: bool = False
-    along: tuple[float, ...] = ()
 
     to_dict = as_dict(
-        "place", "unit", "level", "time", "gain", "narrow_band", "along",
-        level_on_validation="elsewhere",
-    )  # fmt: skip
+        "place", "unit", "level", "time", "gain", "narrow_band", level_on_validation="elsewhere"
+    )
 
     @property
     def is_the_same_elsewhere(self) -> bool:
@@ -96,19 +86,10 @@ class RandomForceFound:
         short: levels that differ say nothing where the records are as likely with the same ones.
         Another day has another sea. One that differs by more is tied to the manoeuvre.
         """
-        asked = self.told and not self.narrow_band and not np.isnan(self.elsewhere)
-        return not asked or _same(self.level, self.elsewhere)
-
-    @property
-    def is_stationary(self) -> bool:
-        """Whether it acts alike all along the training records, by the same measure."""
-        return self.narrow_band or not self.along or _same(*self.along)
-
-    @property
-    def parts(self) -> str:
-        """Its levels along the records in words."""
-        levels = ", ".join(f"{level:.2g}" for level in self.along)
-        return f"does not act alike all along: {levels} {self.unit} in parts of the runs"
+        if np.isnan(self.elsewhere) or not self.told or self.narrow_band:
+            return True
+        low, high = sorted((self.level, self.elsewhere))
+        return bool(low > 0 and high / low < TWOFOLD)
 
     @property
     def text(self) -> str:
@@ -120,11 +101,6 @@ class RandomForceFound:
         if self.narrow_band:
             name, time = f"narrow-band {name}", f", period {self.time:.2g} s"
         return f"{name}, {self.level:.2g} {self.unit}{time}".replace(" ,", ",")
-
-
-def _same(*levels: float) -> bool:
-    """Whether levels are about the same; else what acts is tied to a manoeuvre or a time."""
-    return bool(min(levels) > 0 and max(levels) / min(levels) < TWOFOLD)
 
 
 @dataclass(frozen=True)
@@ -186,7 +162,6 @@ class Remains:
             found.append(f"{names} would explain part of it but is not confirmed")
         if not all(force.is_the_same_elsewhere for force in self.random):
             found.append("its level differs between training and validation records")
-        found += [f"{one.place} {one.parts}" for one in self.random if not one.is_stationary]
         return tuple(found)
 
     @property
@@ -274,7 +249,8 @@ def remains(study: Study, fit: FilteredSolution) -> Remains:
         # Small forces that nobody names would widen what whole runs may leave.
         time = _sensor_time(study, quiet)
         return Remains(forces, time, follows=() if time is None else followed(quiet), fit=quiet)
-    acting = sorted(_forces(study, fit), key=lambda force: -force.gain)
+    validated = None if study.validation is None else study.on_records(fit, study.validation)
+    acting = sorted(_forces(study, fit, validated), key=lambda force: -force.gain)
     # Each of some that stand for one another costs little; together they are real.
     found = tuple(one for one in acting if one.gain > REMAINDER_LIMIT) or tuple(acting)
     return Remains(forces, _sensor_time(study, fit), found, follows=followed(fit))
@@ -287,12 +263,16 @@ def followed(fit: FilteredSolution) -> tuple[Law, ...] | None:
     return laws(held, held.beside(fit.point.unknowns).unknowns)
 
 
-def _forces(study: Study, fit: FilteredSolution) -> Iterator[RandomForceFound]:
+def _forces(
+    study: Study, fit: FilteredSolution, validated: FilteredSolution | None
+) -> Iterator[RandomForceFound]:
     """Every disturbance force that acts, and its level on the validation records."""
     noise, elsewhere, told = fit.noise, dict[tuple[str, bool], float](), False
-    if study.validation is not None:
-        elsewhere, told = _levels_on(study, fit, study.validation, REMAINDER_LIMIT) or ({}, False)
-    along = _along(study, fit)
+    if validated is not None and study.validation is not None:
+        elsewhere = {one[:2]: one[2] for one in _strengths(validated.noise)}
+        # Whether validation records are clearly likelier with levels of their own.
+        same = study.on_records(fit, study.validation, same_forces=True)
+        told = _lost(validated, same) > REMAINDER_LIMIT
     units = {place.name: place.unit for place in places(study.base)}
     seas = study.setting.seas and noise.seas  # declared ones are given, not asked
     none = np.zeros(len(noise.force), dtype=bool)
@@ -303,32 +283,8 @@ def _forces(study: Study, fit: FilteredSolution) -> Iterator[RandomForceFound]:
         without = _without(study, fit, gone, seas if narrow_band else noise.seas)
         other = elsewhere.get((name, narrow_band), np.nan)
         yield RandomForceFound(
-            name, units.get(name, ""), level, time, _lost(fit, without), other, told, narrow_band,
-            tuple(part.get((name, narrow_band), 0.0) for part in along),
-        )  # fmt: skip
-
-
-def _along(study: Study, fit: FilteredSolution) -> list[dict[tuple[str, bool], float]]:
-    """Levels in every part of the training records, where one tells them from the whole's."""
-    cut = [record.segments(record.duration / PARTS) for record in study.train]
-    needed = threshold(PARTS, 2 * len([*_strengths(fit.noise)]))
-    asked = (_levels_on(study, fit, Dataset(part), needed) for part in zip(*cut, strict=True))
-    found = [one for one in asked if one is not None]
-    return [levels for levels, _ in found] if any(told for _, told in found) else []
-
-
-def _levels_on(
-    study: Study, fit: FilteredSolution, records: Dataset, needed: float
-) -> tuple[dict[tuple[str, bool], float], bool] | None:
-    """Levels on other records, and whether these are clearly likelier with levels of their own.
-
-    None where the filter diverges there.
-    """
-    own = study.on_records(fit, records)
-    if own is None:
-        return None
-    same = study.on_records(fit, records, same_forces=True)
-    return {one[:2]: one[2] for one in _strengths(own.noise)}, _lost(own, same) > needed
+            name, units.get(name, ""), level, time, _lost(fit, without), other, told, narrow_band
+        )
 
 
 def _strengths(noise: NoiseModel) -> Iterator[tuple[str, bool, float, float]]:
