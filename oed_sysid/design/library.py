@@ -32,7 +32,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from oed_sysid.design.vehicles import LimitBounds, kept_on
+from oed_sysid.design.vehicles import LimitBounds, kept_on, units_of
 from oed_sysid.design.waveforms import Grid, trim_within
 from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment, Limits
@@ -361,7 +361,7 @@ class Bench:
     @property
     def unit(self) -> str:
         """Of the input."""
-        return next(one.unit for one in self.model.inputs if one.name == self.name)
+        return units_of(self.model)[self.name]
 
     @property
     def trim(self) -> float:
