@@ -25,7 +25,8 @@ import numpy as np
 
 from benchmarks.fuzz import mangled
 from benchmarks.harness import ROOT, Row, exam
-from oed_sysid.data import apart, formats
+from oed_sysid.data import formats
+from oed_sysid.runtime.constants import TABLE_BYTES
 
 sys.path.insert(0, str(ROOT / "tests"))
 
@@ -113,7 +114,7 @@ def outcome(path: Path, target: Path) -> tuple[str, float]:
     """How a child ends that reads a file as :func:`oed_sysid.data.open_log` has it read."""
     child = os.fork()
     if child == 0:
-        os.environ["OED_SYSID_LIMITS"] = f"{LIMIT} {apart.MEMORY}"
+        os.environ["OED_SYSID_LIMITS"] = f"{LIMIT} {TABLE_BYTES}"
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
         code = 1
         try:

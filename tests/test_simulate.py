@@ -102,8 +102,7 @@ def test_looking_ahead_changes_no_bit(interpolation: str, feedback: str, monkeyp
     changed = tuple(replace(one, interpolation=interpolation) for one in AUV.inputs)
     model, test = replace(AUV, inputs=changed), replace(DIVE, feedback=feedback)
     ahead = simulate(model, test, noise=False)
-    for limit in ("_FIRST_AHEAD", "_MOST_AHEAD"):
-        monkeypatch.setattr(f"oed_sysid.experiments.simulation.{limit}", 1)
+    monkeypatch.setattr("oed_sysid.experiments.simulation._AHEAD", 1)
     stepwise = simulate(model, test, noise=False)
     assert len(np.unique(ahead.inputs)) > 10
     np.testing.assert_array_equal(ahead.inputs, stepwise.inputs)

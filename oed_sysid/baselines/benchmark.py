@@ -37,6 +37,7 @@ from oed_sysid.baselines.contest import (
 )
 from oed_sysid.baselines.world import IDEAL, world_by_name
 from oed_sysid.errors import ProblemError
+from oed_sysid.runtime.constants import RANK_TOLERANCE
 from oed_sysid.runtime.display import as_dict
 from oed_sysid.runtime.parallel import CellProgress, run_cells
 
@@ -47,8 +48,6 @@ DETERMINED = 0.25
 # Two estimators are not told apart where their errors differ by less than this share; they are
 # called alike where even the scatter of the runs leaves no room for more than twice as much.
 EQUAL = 0.05
-# Less than this no measurement is about.
-EXACT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -189,7 +188,7 @@ def logarithms_of_ratios(others: Sequence[float], own: Sequence[float]) -> np.nd
 
     Pairs of runs are on the same records: what these have in common cancels.
     """
-    return np.log(np.maximum(others, EXACT) / np.maximum(own, EXACT))
+    return np.log(np.maximum(others, RANK_TOLERANCE) / np.maximum(own, RANK_TOLERANCE))
 
 
 def verdicts(rows: Sequence[Row], ours: str) -> tuple[Verdict, ...]:
@@ -211,7 +210,7 @@ def verdicts(rows: Sequence[Row], ours: str) -> tuple[Verdict, ...]:
         if row.estimator == ours or row.refused or row.setting not in mine:
             continue
         own = mine[row.setting]
-        ratio = max(row.rmse_determined, EXACT) / max(own.rmse_determined, EXACT)
+        ratio = max(row.rmse_determined, RANK_TOLERANCE) / max(own.rmse_determined, RANK_TOLERANCE)
         outcome = _outcome(ratio, logarithms_of_ratios(row.by_seed, own.by_seed))
         where = row.problem, row.noise, row.sampling
         found.append(Verdict(*where, ours, row.estimator, outcome, ratio, row.world))
@@ -379,7 +378,7 @@ def _short(value: float) -> str:
     """Three digits, without exponents where numbers are ordinary."""
     if not math.isfinite(value):
         return "diverges" if math.isinf(value) else "-"
-    if value < EXACT:
+    if value < RANK_TOLERANCE:
         return "0"
     if 1e-3 <= value < 1e5:
         return f"{float(f'{value:.3g}'):g}"

@@ -29,9 +29,7 @@ import numpy as np
 from oed_sysid.compiled.graph import (
     DIVERGED,
     FRACTIONS,
-    NEWTON_FLOOR,
     NEWTON_MOST,
-    NEWTON_STEP,
     STAGES,
     Graph,
     build,
@@ -39,6 +37,7 @@ from oed_sysid.compiled.graph import (
 )
 from oed_sysid.errors import FileError
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import RANK_TOLERANCE, ROUNDING
 from oed_sysid.runtime.files import cache_folder, private, private_cache
 
 # Flags of the user come last, so that they count: -Og compiles in a third of the time.
@@ -286,8 +285,8 @@ def source(graph: Graph) -> str:
             "IMPLICIT": 1,
             "STAGE_WEIGHTS": _braces(_braces(map(repr, row)) for row in STAGES),
             "STAGE_FRACTIONS": _braces(map(repr, FRACTIONS)),
-            "NEWTON_STEP": repr(NEWTON_STEP),
-            "NEWTON_FLOOR": repr(NEWTON_FLOOR),
+            "NEWTON_STEP": repr(ROUNDING),
+            "NEWTON_FLOOR": repr(ROUNDING * RANK_TOLERANCE),
             "NEWTON_MOST": NEWTON_MOST,
         }
     defines = [f"#define {name} {value}" for name, value in (sizes | updates).items()]

@@ -45,6 +45,7 @@ import numpy as np
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.structure import is_sampled
+from oed_sysid.runtime.constants import RANK_TOLERANCE, ROUNDING
 from oed_sysid.text.expressions import names, to_casadi
 
 Scope = dict[str, ca.SX]
@@ -61,8 +62,8 @@ STAGES = (
     ),
 )
 FRACTIONS = (GAMMA, (1.0 + GAMMA) / 2.0, 1.0)
-# Newton's method ends after a step below this share of a state, or gives up.
-NEWTON_STEP, NEWTON_FLOOR, NEWTON_MOST = 1e-9, 1e-15, 40
+# Steps after which Newton's method gives up; it ends where one is rounding.
+NEWTON_MOST = 40
 # Sum of the states from which on a run has diverged: cubes of its errors are still numbers.
 DIVERGED = float(np.cbrt(np.finfo(float).max))
 
@@ -152,18 +153,18 @@ class Graph:
         # In units of each state's size, so that one tolerance serves all of them.
         size = ca.fmax(
             ca.fmax(ca.fabs(base), ca.fabs(h * GAMMA * self.rates(base, d, p, t))),
-            NEWTON_FLOOR / NEWTON_STEP,
+            RANK_TOLERANCE,  # of an SI unit: a state that is zero has no size of its own
         )
         miss = y - (base + h * GAMMA * self.rates(y * size, d, p, t)) / size
         known = ca.vertcat(base, d, p, t, h)
-        options = {"abstolStep": NEWTON_STEP, "max_iter": NEWTON_MOST, "line_search": False}
+        options = {"abstolStep": ROUNDING, "max_iter": NEWTON_MOST, "line_search": False}
         problem = {"x": y, "p": known, "g": miss}
         solve = ca.rootfinder("solve", "newton", problem, options | {"error_on_fail": False})
         # What the solver takes for converged is one step of Newton's method away from it.
         last = ca.Function("last", [y, known], [ca.solve(ca.jacobian(miss, y), miss)])
         reached = solve(base / size, known)
         step = last(reached, known)
-        arrived = ca.mmax(ca.fabs(step)) <= NEWTON_STEP
+        arrived = ca.mmax(ca.fabs(step)) <= ROUNDING
         return ca.Function(
             "stage", [base, d, p, t, h], [ca.if_else(arrived, (reached - step) * size, np.nan)]
         )

@@ -21,15 +21,16 @@ import numpy as np
 
 from oed_sysid.data.log import Log, Series
 from oed_sysid.errors import DataError
+from oed_sysid.runtime.constants import TABLE_BYTES
 
-# Seconds of computing and bytes of memory: at least, and more per byte of the file.
+# Of computing: at least, and more per byte of the file.
 SECONDS, SECONDS_PER_BYTE = 10.0, 5e-6
-# Bytes: libraries of tables take tens of bytes for each of a compressed file.
-MEMORY, MEMORY_PER_BYTE = 4 * 1024**3, 30
+# Libraries of tables take tens of bytes for each of a compressed file.
+MEMORY_PER_BYTE = 30
 # Wall time over computing time: a machine may have other work.
 PATIENCE = 6.0
-# Numbers of one log, 8 bytes each.
-MOST_NUMBERS = 2**28
+# Numbers of one log.
+MOST_NUMBERS = TABLE_BYTES // np.dtype(float).itemsize
 
 # What a log says in words.
 _WORDS = ("kind", "origin", "notes", "clock", "clock_unit")
@@ -56,7 +57,7 @@ def read_apart(place: Path, words: str, advice: str) -> Log:
         With the child's own words, or with how it ended.
     """
     size = sum(one.stat().st_size for one in (place, *place.rglob("*")) if one.is_file())
-    seconds, memory = SECONDS + SECONDS_PER_BYTE * size, MEMORY + MEMORY_PER_BYTE * size
+    seconds, memory = SECONDS + SECONDS_PER_BYTE * size, TABLE_BYTES + MEMORY_PER_BYTE * size
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         target = Path(folder) / "log.npz"
         command = [sys.executable, "-c", _CHILD, json.dumps(sys.path), str(place), str(target)]

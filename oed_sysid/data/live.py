@@ -28,13 +28,8 @@ from oed_sysid.data.nmea import sentence_of
 from oed_sysid.data.record import TURN
 from oed_sysid.errors import DataError, library
 from oed_sysid.physics.channels import Channels
-from oed_sysid.text.csv_table import Table
+from oed_sysid.text.csv_table import LONGEST_LINE, Table
 from oed_sysid.text.units import dimension, to_si
-
-# Seconds for which a file or a port may be silent before the run counts as over.
-SILENCE = 10.0
-# Largest line that is taken for one.
-LONGEST = 65_536
 
 Sample = tuple[float, dict[str, float]]
 
@@ -72,7 +67,7 @@ def samples(
     *,
     places: Mapping[str, Place] | None = None,
     period: float = 1.0,
-    silence: float = SILENCE,
+    silence: float = 10.0,
 ) -> Iterator[Sample]:
     """Samples of a source as they come: time in s, channels in SI units by name.
 
@@ -155,7 +150,7 @@ def _datagrams(address: str, silence: float) -> Iterator[str]:
         port.settimeout(silence)
         while True:
             try:
-                content = port.recv(LONGEST)
+                content = port.recv(LONGEST_LINE)
             except TimeoutError:
                 return
             yield from content.decode(errors="replace").splitlines()
@@ -167,10 +162,10 @@ def _growing(path: Path, silence: float) -> Iterator[str]:
         with path.open(encoding="utf-8", errors="replace") as file:
             part, quiet = "", 0.0
             while quiet < silence:
-                part += file.read(LONGEST)
+                part += file.read(LONGEST_LINE)
                 *whole, part = part.split("\n")
                 yield from (line.rstrip("\r") for line in whole)
-                if len(part) >= LONGEST:
+                if len(part) >= LONGEST_LINE:
                     raise DataError(f"{str(path)!r} holds no lines.")
                 if whole:
                     quiet = 0.0

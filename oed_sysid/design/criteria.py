@@ -64,17 +64,18 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtri, chndtr, chndtrinc, ndtr
 
-from oed_sysid.errors import DesignError, located
+from oed_sysid.errors import DesignError, listed, located
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.information import commanded_runs, respond
 from oed_sysid.information.shifts import GROUP_WIDTH, Group, Shifts
 from oed_sysid.likelihood.projection import ABSORBED
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import RANK_TOLERANCE
 from oed_sysid.runtime.display import Section, Table, as_dict
 
-# Information that counts as none, in units of (relative error)**-2: a prior of 1e5 times the value.
-NOTHING = 1e-10
+# Information that counts as none, in units of (relative error)**-2.
+NOTHING = RANK_TOLERANCE**2
 
 
 def eliminate(matrix: np.ndarray, n_drop: int) -> tuple[np.ndarray, np.ndarray]:
@@ -432,9 +433,7 @@ def _asked(setting: Setting) -> tuple[Shifts, int]:
 def _check(what: str, names: Sequence[str], size: float) -> None:
     """Refuse effects that are named twice, and amplitudes that are none."""
     if not names or len(set(names)) < len(names):
-        raise DesignError(
-            f"The {what} are {', '.join(names) or 'none'}; give one or more, each once."
-        )
+        raise DesignError(f"The {what} are {listed(names)}; give one or more, each once.")
     if not size > 0:
         raise DesignError(f"size is {size}. Give a share of the scale above zero.")
 
@@ -601,8 +600,6 @@ def pair_misfits(
     return pairs
 
 
-# Beyond this expected gain everything shows; the distribution is not evaluated.
-_CERTAIN = 300.0
 # Probability from which on something counts as sure: limits kept if no probability was asked for,
 # and the smallest size of an effect that shows.
 SURE = 0.9
@@ -803,8 +800,6 @@ def log_power(gain: float, freedom: int, needed: float) -> tuple[float, float]:
     0.500 0.109
     """
     gain = max(gain, 0.0)
-    if gain > _CERTAIN + needed:
-        return 0.0, 0.0
     power = 1.0 - float(chndtr(needed, freedom, gain))
     more = 1.0 - float(chndtr(needed, freedom + 2, gain))
     # d/dlambda of the survival function is half of what two degrees of freedom more add.

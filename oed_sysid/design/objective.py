@@ -32,8 +32,8 @@ from oed_sysid.design.knowledge import ExpectedInformation
 from oed_sysid.design.trial import Task
 from oed_sysid.design.vehicles import ScenarioRun, Scenarios
 from oed_sysid.design.waveforms import Shape
-from oed_sysid.experiments.trajectory import RUNAWAY
 from oed_sysid.information.bound import unknowns
+from oed_sysid.runtime.constants import DIFFERENCE_STEP, RUNAWAY
 from oed_sysid.runtime.threads import in_chunks
 
 
@@ -237,10 +237,6 @@ class VehicleInformation:
         return value, mapping.T @ gradient @ mapping
 
 
-# Difference step of the numbers between 0 and 1; information derivatives are exact.
-_STEP = 1e-5
-
-
 @dataclass(frozen=True, eq=False)
 class Score:
     """Value of one candidate.
@@ -368,7 +364,7 @@ class Objective:
         size = self.shape.size
         # A difference towards the middle stays within the box.
         signs = np.where(score.numbers > 0.5, -1.0, 1.0)
-        commands = self.all_commands(score.numbers + np.diag(_STEP * signs))
+        commands = self.all_commands(score.numbers + np.diag(DIFFERENCE_STEP * signs))
         judged = zip(self.vehicles, score.evaluations, strict=True)
         parts = [vehicle.worth(evaluation) for vehicle, evaluation in judged]
         _, weights = self._combined([value for value, _ in parts])
@@ -389,7 +385,7 @@ class Objective:
             differs = np.flatnonzero((commands[index] != score.commands).any(axis=1))
             if not len(differs):
                 return
-            step = _STEP * signs[index]
+            step = DIFFERENCE_STEP * signs[index]
             # A linearly interpolated command acts from the sample before.
             edge = int(np.searchsorted(edges, max(differs[0] - 1, 0), "right")) - 1
             for i, vehicle in enumerate(self.vehicles):

@@ -42,13 +42,12 @@ from oed_sysid.likelihood.judgement import UNSEEN
 from oed_sysid.likelihood.projection import eliminate
 from oed_sysid.physics import Effect
 from oed_sysid.physics.parameters import Parameter, with_parameters
+from oed_sysid.runtime.constants import ROUNDING
 from oed_sysid.runtime.display import as_dict
 
 # Error of whole validation runs, over that before, that is no rise: arithmetic and parameters a
 # little off; and where process noise acts, under which the runs of the better model wander too.
 RISE, RISE_DISTURBED = 1.02, 1.25
-# Share of a bound's range within which a value is at it: arithmetic.
-AT_BOUND = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,7 +257,7 @@ def _amplitudes(
 def rests(parameter: Parameter, value: float) -> bool:
     """Whether a value is at a bound of its parameter other than nothing."""
     bounds = [b for b in (parameter.lower, parameter.upper) if b and np.isfinite(b)]
-    return any(abs(value - bound) <= AT_BOUND * abs(bound) for bound in bounds)
+    return any(abs(value - bound) <= ROUNDING * abs(bound) for bound in bounds)
 
 
 def difference(before: float, after: float) -> float:

@@ -56,9 +56,7 @@ from oed_sysid.likelihood.summary import Procedure, summarise_filtered
 from oed_sysid.likelihood.whole_runs import WholeRun, rms, whole_runs
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
-
-# Below this share of a typical magnitude's inverse square, training records say nothing.
-VAGUE = 1e-8
+from oed_sysid.runtime.constants import RANK_TOLERANCE
 
 # A fit to white noise, on the way to one with disturbance forces.
 PLAIN = MultipleShooting(solver=Solver(max_iterations=15), coloured="never", disturbances="none")
@@ -381,7 +379,7 @@ class Study:
         matrix = found.matrix + np.diag(limits.prior_weight)
         scale = limits.scale[shared]
         known = eliminate(matrix, shared, np.arange(len(shared), layout.n_unknowns))
-        known = known + np.diag(VAGUE / scale**2)
+        known = known + np.diag(RANK_TOLERANCE**2 / scale**2)
         levels = self.levels(self.loosened(found.noise), validation)
         knowledge = Knowledge(found.point.unknowns[shared].copy(), known)
         problem = found.problem.posed(

@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from oed_sysid.errors import ModelError, located
 from oed_sysid.runtime.display import plain
 
-#: Times and commands are floating-point sums: they count as equal within this share.
-ROUNDING = 1e-9
 #: Advice for sizes below zero, where ``first`` says the side.
 OTHER_SIDE = "Use first=-1 to begin to the other side."
 FloatArray = NDArray[np.float64]

@@ -10,15 +10,13 @@ from typing import Any, cast
 import numpy as np
 
 from oed_sysid.errors import DesignError, located
-from oed_sysid.experiments.base import ROUNDING
 from oed_sysid.experiments.manoeuvres import Combined, Excitation, Manoeuvre
 from oed_sysid.physics.channels import settle
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import ROUNDING, TABLE_BYTES
 from oed_sysid.runtime.display import as_dict
 
 FEEDBACKS = ("measured", "true")
-# More samples than any computer's memory has room for.
-MOST_SAMPLES = 1e8
 
 
 @dataclass(frozen=True)
@@ -225,7 +223,7 @@ class Experiment:
                 f"{owner} lasts {self.duration} s with a sample every {self.sample_time} s. "
                 "Give a duration of several samples."
             )
-        if self.duration > MOST_SAMPLES * self.sample_time:
+        if self.duration > TABLE_BYTES / np.dtype(float).itemsize * self.sample_time:
             raise DesignError(
                 f"{owner} lasts {self.duration:g} s with a sample every {self.sample_time:g} s: "
                 f"that is {self.duration / self.sample_time:.0e} samples. Give a shorter run, or a "

@@ -21,12 +21,13 @@ from oed_sysid.errors import ModelError
 from oed_sysid.experiments import base
 from oed_sysid.experiments.base import FloatArray, Numbers, Rule, Waveform
 from oed_sysid.physics.channels import INTERPOLATIONS
+from oed_sysid.runtime.constants import ROUNDING
 
 
 def interval(times: FloatArray, edges: NDArray[np.floating]) -> NDArray[np.intp]:
     """Return for each time how many of the increasing ``edges`` have passed."""
     # A switch at 0.1 * 3 s has happened on the sample at 0.3 s.
-    return np.searchsorted(edges, times + base.ROUNDING * (1 + np.abs(times)), side="right")
+    return np.searchsorted(edges, times + ROUNDING * (1 + np.abs(times)), side="right")
 
 
 def staircase(
@@ -669,7 +670,7 @@ class PRBS(base.OpenLoop, base.Timed):
 
         def bits_at(times: FloatArray) -> FloatArray:
             # Bits are counted, not multiplied out, so that no edge is lost to rounding.
-            bits = np.floor((times - self.start) / self.bit_time + base.ROUNDING).astype(int)
+            bits = np.floor((times - self.start) / self.bit_time + ROUNDING).astype(int)
             return np.where(bits < 0, 0.0, levels[bits % len(levels)])
 
         return about(self.trim, bits_at)

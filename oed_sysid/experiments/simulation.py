@@ -23,7 +23,6 @@ import numpy as np
 from oed_sysid.compiled.kernels import Run, kernel
 from oed_sysid.data.dataset import Record
 from oed_sysid.errors import SimulationError
-from oed_sysid.experiments.base import ROUNDING
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import command_all
 from oed_sysid.experiments.steady import Equilibrium, equilibrium, linearise
@@ -34,6 +33,7 @@ from oed_sysid.experiments.trajectory import (
     start_array,
 )
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import ROUNDING
 
 __all__ = [
     "Equilibrium",
@@ -46,8 +46,9 @@ __all__ = [
     "trajectory_of",
 ]
 
-# Samples that are simulated at once while a manoeuvre that reacts goes on: at first, and at most.
-_FIRST_AHEAD, _MOST_AHEAD = 16, 256
+# Samples that are simulated at once while a manoeuvre that reacts goes on: at first, and the square
+# of it at most.
+_AHEAD = 16
 
 
 def simulate(
@@ -220,7 +221,7 @@ class _Loop:
         inputs[0, self.columns] = self._decide(0, first, 0)
         # What remembers begins at the first command, once that is decided.
         z, _ = self.runner.start(self.own, inputs[0], self.values, times[0])
-        k, ahead, slope = 1, _FIRST_AHEAD, np.zeros(len(self.columns))
+        k, ahead, slope = 1, _AHEAD, np.zeros(len(self.columns))
         while k < len(times):
             # Ahead as if no command reacted but went on as it does: most hold for seconds.
             n = min(ahead, len(times) - k)
@@ -250,7 +251,7 @@ class _Loop:
                 two = slice(k - 2, k)
                 last = self.runner.run(times[two], inputs[two], self.values, window.states[row - 1])
                 z = last.states[1]
-            ahead = _FIRST_AHEAD if moved else min(2 * ahead, _MOST_AHEAD)
+            ahead = _AHEAD if moved else min(2 * ahead, _AHEAD**2)
         return inputs
 
     def _measured(self, times: np.ndarray, commands: np.ndarray, window: Run) -> Run:

@@ -15,13 +15,11 @@ from oed_sysid.errors import SimulationError, located
 from oed_sysid.experiments.experiment import Limits
 from oed_sysid.experiments.trajectory import state_scales
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import ROUNDING
 from oed_sysid.runtime.display import Report, as_text
 
 if TYPE_CHECKING:
     import control
-
-# A rate counts as zero below this share of its state's scale per second.
-_STEADY = 1e-8
 
 
 @dataclass(frozen=True)
@@ -157,7 +155,7 @@ def equilibrium(
     best = _zero(misses, slopes, point[columns], scales[columns], _bounds(limits, unknowns))
     full, found, _ = settled(best)
     left, rates = np.abs(misses(best)), dict(zip(names, found.tolist(), strict=True))
-    ok = bool(np.isfinite(left).all() and (left < _STEADY).all())
+    ok = bool(np.isfinite(left).all() and (left < ROUNDING).all())
     worst = target[int(np.argmax(left))] if target else ""
     return Equilibrium(
         states=dict(zip(names, full[: len(names)].tolist(), strict=True)),
@@ -192,7 +190,7 @@ def _zero(
         )  # fmt: skip
         if np.linalg.norm(found.fun) < np.linalg.norm(misses(best)) or not push:
             best = found.x
-        if np.abs(misses(best)).max() < _STEADY:
+        if np.abs(misses(best)).max() < ROUNDING:
             break
     return best
 

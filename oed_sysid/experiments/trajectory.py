@@ -15,15 +15,13 @@ from numpy.typing import ArrayLike
 
 from oed_sysid.compiled import graph as graph_module
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.errors import SimulationError, located
+from oed_sysid.errors import SimulationError, listed, located
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import RUNAWAY
 from oed_sysid.runtime.threads import in_chunks
 
 # Real-axis limit of stability of the classical Runge-Kutta method.
 _STABLE_PRODUCT = 2.78
-# No vehicle gets there: a state beyond this many of its scales (or of its SI unit, where the scale
-# is smaller) has run away, although it is a number still.
-RUNAWAY = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,8 +175,8 @@ def input_array(
     if isinstance(inputs, Mapping):
         if set(inputs) != set(names):
             raise SimulationError(
-                f"Model {model.name!r} has the inputs {', '.join(names) or 'none'}; got "
-                f"{', '.join(inputs) or 'none'}. Give a value or an array for each."
+                f"Model {model.name!r} has the inputs {listed(names)}; got "
+                f"{listed(inputs)}. Give a value or an array for each."
             )
         columns = [np.broadcast_to(np.asarray(inputs[name], float), n_times) for name in names]
         commands = np.column_stack([np.empty((n_times, 0)), *columns])
@@ -189,7 +187,7 @@ def input_array(
     if commands.shape != (n_times, len(names)):
         raise SimulationError(
             f"Inputs have shape {commands.shape}; expected time first, ({n_times}, {len(names)}), "
-            f"with the columns {', '.join(names) or 'none'}."
+            f"with the columns {listed(names)}."
         )
     if not np.isfinite(commands).all():
         row, column = np.argwhere(~np.isfinite(commands))[0]

@@ -42,15 +42,12 @@ from oed_sysid.export.program import (
     numbers_in_c,
     template,
 )
+from oed_sysid.runtime.constants import ROUNDING
 from oed_sysid.runtime.files import whole_file
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.typeset import safe
 
 # -- C99 without dependencies ----------------------------------------------------------
-
-
-# A self-test fails beyond this, relative to the largest value of each output.
-TOLERANCE = 1e-9
 
 
 def header(program: Program, file: Path | None = None) -> str:
@@ -89,7 +86,7 @@ def self_test(program: Program, run: Example) -> str:
         inputs=numbers_in_c(run.inputs),
         parameters=numbers_in_c(run.parameters),
         expected=numbers_in_c(run.outputs),
-        tolerance=repr(TOLERANCE),
+        tolerance=repr(ROUNDING),
     )
 
 

@@ -85,6 +85,7 @@ from scipy.special import chdtrc, stdtrit
 
 from oed_sysid.data.record import Record
 from oed_sysid.likelihood.projection import coordinates, inverse_of
+from oed_sysid.runtime.constants import RANK_TOLERANCE
 
 # Records from which on their scatter tells something: three degrees of freedom.
 FEWEST_RECORDS = 4
@@ -92,8 +93,6 @@ FEWEST_RECORDS = 4
 CHANCE = 0.01
 # Standard deviations that are wrong by a smaller factor are not worth a word.
 WORTH_TELLING = 1.5
-# Share of the joint information in a direction below which a source tells nothing of it.
-TOLD = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,9 +301,9 @@ class Sources:
         slopes = slopes - (shares @ slopes.sum(axis=0)[:, None])[..., 0]
         told, axes = np.linalg.eigh(shares)
         squares = (slopes[:, None] @ axes)[:, 0] ** 2
-        seen = told > TOLD
+        seen = told > RANK_TOLERANCE
         # Where one source tells everything, there is nobody to differ from.
-        both = seen & (told < 1.0 - TOLD)
+        both = seen & (told < 1.0 - RANK_TOLERANCE)
         total = float(np.sum(squares / np.where(seen, told, np.inf)))
         each = np.sum(squares / np.where(both, told * (1.0 - told), np.inf), axis=1)
         freedom = max(int(seen.sum()) - onto.shape[1], 0)
@@ -318,9 +317,8 @@ class Sources:
         grown, axes = np.linalg.eigh(back.T @ np.where(np.isfinite(stated), stated, 0.0) @ back)
         less = (axes / np.sqrt(np.maximum(grown, 1.0))) @ axes.T
         own = onto.T @ self.matrices[1:] @ onto
-        apart = (
-            np.linalg.pinv(own, rcond=TOLD, hermitian=True) @ (self.scores[1:] @ onto)[..., None]
-        )
+        inverses = np.linalg.pinv(own, rcond=RANK_TOLERANCE, hermitian=True)
+        apart = inverses @ (self.scores[1:] @ onto)[..., None]
         told = less @ own @ less
         return back @ told @ back.T, (back @ told @ apart)[..., 0]
 
@@ -334,7 +332,7 @@ class Sources:
         moved = left @ self.scores[index]
         # Of the difference of an estimate and one that contains it: their variances subtract.
         variance = np.diag(left) - np.diag(joint)
-        usable = variance > TOLD * np.diag(joint)
+        usable = variance > RANK_TOLERANCE * np.diag(joint)
         return np.where(usable, moved / np.sqrt(np.where(usable, variance, 1.0)), 0.0)
 
 

@@ -34,10 +34,10 @@ from oed_sysid.likelihood.disturbances import equation_units
 from oed_sysid.likelihood.estimate import CaptiveErrors
 from oed_sysid.likelihood.estimator import Estimator
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.noise_levels import EXACT
 from oed_sysid.likelihood.unknowns import StartState
 from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import ROUNDING
 
 TOWED = "towed"
 _FORCE = "force_{}"
@@ -141,11 +141,11 @@ class CaptiveTests:
             for name in {*own, *others}:
                 mine = own.get(name, np.zeros(self.n_tests))
                 theirs = others.get(name, np.zeros(other.n_tests))
-                same &= np.isclose(mine[:, None], theirs, rtol=EXACT, atol=0.0)
+                same &= np.isclose(mine[:, None], theirs, rtol=ROUNDING, atol=0.0)
         alike = np.zeros_like(same)
         for axis in self.forces.keys() & other.forces.keys():
             mine, theirs = self.forces[axis], other.forces[axis]
-            alike |= np.isclose(mine[:, None], theirs, rtol=EXACT, atol=0.0)
+            alike |= np.isclose(mine[:, None], theirs, rtol=ROUNDING, atol=0.0)
         return int((same & alike).any(axis=1).sum())
 
     def towed(self, model: Model) -> Model:

@@ -59,15 +59,10 @@ from oed_sysid.likelihood.projection import bounded_step, gain_within
 from oed_sysid.likelihood.shooting import Follows, Linearisation, Point, Shooting
 from oed_sysid.likelihood.unknowns import node_maps
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import RANK_TOLERANCE, ROUNDING
 
 # Ratio of one length of a step that is tried to the one before.
 SHORTER = 0.4
-# A trajectory whose scaled jumps sum to less is continuous; and a share of a cost that is rounding.
-ROUNDING = 1e-8
-# Rounding errors grow along an unstable trajectory. Jumps below the first number that no longer
-# shrink are theirs, and then so are gains below a share of the cost, or the tolerance at frozen
-# gain, of the others: estimates are within 0.04 standard errors of where they would end.
-NEARLY_CLOSED = 1e-6
 # With disturbance forces: the step that ends the iterations at frozen gain, and those of the exact
 # one, whose equations then serve where it led; and most steps of this.
 FROZEN_TOLERANCE, POLISH_STEPS = 1e-3, 8
@@ -555,7 +550,11 @@ class Descent:
                 if evaluate is not self.evaluate:
                     new = self.evaluate(now.problem, trial)
                 if np.isfinite(new.cost):
-                    self._at_floor = 0.1 * now.defect < new.defect < NEARLY_CLOSED
+                    # Rounding errors grow along an unstable trajectory. Small jumps that no longer
+                    # shrink are theirs, and then so are gains below a share of the cost, or the
+                    # tolerance at frozen gain, of the others: estimates are within 0.04 standard
+                    # errors of where they would end.
+                    self._at_floor = 0.1 * now.defect < new.defect < RANK_TOLERANCE
                     self.before, self.now, self._length = now, new, length
                     self.lowest = min(self.lowest, new, key=lambda one: one.cost)
                     self.steps += 1

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.fft import next_fast_len
 from scipy.special import gammaincc
 
-# Directions whose information falls below this share of the best are null.
-NULL_TOLERANCE = 1e-7
+from oed_sysid.runtime.constants import RANK_TOLERANCE
+
 # Residuals that count fewer independent samples than this share are autocorrelated.
 COLOUR_LIMIT = 0.8
 # Largest gain per sample of the recursion that is taken out of coloured residuals.
@@ -91,7 +91,7 @@ class Information:
         _, values, vectors = np.linalg.svd(self.factor / safe, full_matrices=True)
         padded = np.zeros(len(self.names))
         padded[: len(values)] = values
-        seen = padded > NULL_TOLERANCE * max(padded.max(initial=0.0), 1e-300)
+        seen = padded > RANK_TOLERANCE * max(padded.max(initial=0.0), 1e-300)
         return safe, padded, vectors, seen
 
     @property

@@ -16,17 +16,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-# Scaled information below this share of the largest is none; and squared part in an unseen
-# direction from which on an unknown is not determined.
-NOTHING, UNSEEN = 1e-12, 1e-6
-# Singular directions below this share of the largest are not projected out, nor answered.
-BLIND = 1e-10
+from oed_sysid.runtime.constants import RANK_TOLERANCE
+
 # What is left of a signature after projection, as a share of it, below which what is estimated does
 # the same.
 ABSORBED = 1e-3
-# Below this share of the largest eigenvalue of the equilibrated matrix, a direction is rounding
-# error: the square of the information's null tolerance.
-NULL_EIGENVALUE = 1e-13
+# Below this share of the largest eigenvalue, a direction of an information is rounding error.
+NOTHING = RANK_TOLERANCE**2
 
 
 def bounded_step(
@@ -63,11 +59,11 @@ def bounded_step(
     # LAPACK itself: SciPy's checks of its arguments take longer than a small factorization.
     triangle, failed = dpotrf(scaled)
     # Rounding errors, not the data, decide along directions with a smaller pivot.
-    if not failed and np.min(np.diag(triangle)) ** 2 >= 10 * NULL_EIGENVALUE:
+    if not failed and np.min(np.diag(triangle)) ** 2 >= 10 * NOTHING:
         step[open_] = scale * dpotrs(triangle, target)[0]
     else:
         values, vectors = np.linalg.eigh(scaled)
-        seen = values > NULL_EIGENVALUE * values[-1]
+        seen = values > NOTHING * values[-1]
         vectors, roots = vectors[:, seen], np.sqrt(values[seen])
         step[open_] = scale * (vectors @ ((vectors.T @ target) / roots**2))
         triangle = roots[:, None] * vectors.T
@@ -113,7 +109,7 @@ def coordinates(
     scale = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(information / scale[:, None] / scale)
     clear = values > NOTHING * max(float(values.max(initial=0.0)), 0.0)
-    blind = (vectors[:, ~clear] ** 2).sum(axis=1) > UNSEEN
+    blind = (vectors[:, ~clear] ** 2).sum(axis=1) > RANK_TOLERANCE
     return vectors[:, clear] / scale[:, None] / np.sqrt(values[clear]), blind
 
 
@@ -160,5 +156,5 @@ def project_out(inner: np.ndarray, outer: np.ndarray) -> np.ndarray:
     # By way of a factorization: singular vectors of a tall matrix take several times as long.
     basis, triangle = np.linalg.qr(inner)
     rotation, values, _ = np.linalg.svd(triangle)
-    basis = basis @ rotation[:, values > BLIND * values[0]]
+    basis = basis @ rotation[:, values > RANK_TOLERANCE * values[0]]
     return outer - basis @ (basis.T @ outer)

@@ -58,10 +58,11 @@ from oed_sysid.likelihood.noise_levels import (
     white_levels,
 )
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.projection import BLIND, inverse_of, root_of
+from oed_sysid.likelihood.projection import inverse_of, root_of
 from oed_sysid.likelihood.realisation import drawn_disturbances, gauss_markov
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import RANK_TOLERANCE
 from oed_sysid.runtime.display import as_dict
 from oed_sysid.text.units import shown_unit
 
@@ -193,7 +194,7 @@ class WholeRun:
         prior = np.sqrt(self.shooting.limits.prior_weight[self.others])
         rows = np.vstack([own.reshape(-1, len(self.others)), np.diag(prior)])
         # Least squares with priors as rows: what a fit of the start makes of a departure.
-        inverse = np.linalg.pinv(rows, rcond=BLIND)
+        inverse = np.linalg.pinv(rows, rcond=RANK_TOLERANCE)
         return inverse[:, : len(rows) - len(prior)], inverse @ inverse.T
 
     def simulated(self, unknowns: np.ndarray) -> np.ndarray:

@@ -41,6 +41,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import first_state
 from oed_sysid.physics.model import Model
 from oed_sysid.prediction.jackknife import Purpose, leave_out
+from oed_sysid.runtime.constants import RANK_TOLERANCE
 from oed_sysid.runtime.display import (
     TWO_SIDED_95,
     Report,
@@ -56,8 +57,6 @@ from oed_sysid.runtime.display import (
 SAME_STRENGTH = 0.05
 # Rungs of the ladder, the strongest records, which are only predicted, not counted.
 MOST_RUNGS = 3
-# A quantity this much smaller than it was on a rung is about zero.
-NEARLY_ZERO = 1e-6
 # Weights below this are not worth a jackknife.
 LEAST_WEIGHT = 0.05
 
@@ -461,7 +460,7 @@ class _Judge:
                     "same names."
                 )
             for name in self.scored or values:
-                if abs(values[name]) <= NEARLY_ZERO * abs(one[name]) or values[name] == 0.0:
+                if abs(values[name]) <= RANK_TOLERANCE * abs(one[name]) or values[name] == 0.0:
                     raise ModelError(
                         f"Quantity {name!r} is {values[name]:.3g} with structure {structure!r}: "
                         "a relative change of nothing says nothing. Name the others in scored, or "

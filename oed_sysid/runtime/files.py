@@ -13,6 +13,7 @@ administrator, like every folder above it, and that no one else can change.
 from __future__ import annotations
 
 import atexit
+import hashlib
 import os
 import secrets
 import shutil
@@ -27,7 +28,7 @@ from pathlib import Path
 from oed_sysid.errors import DataError, FileError
 
 # Of the key that signs cached code: that of SHA-256.
-KEY_BYTES = 32
+KEY_BYTES = hashlib.sha256().digest_size
 
 
 @contextmanager

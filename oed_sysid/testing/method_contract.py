@@ -64,9 +64,9 @@ from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information.noise import noise_of
 from oed_sysid.likelihood.estimator import Estimator
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.gauss_newton import ROUNDING
 from oed_sysid.physics.model import Model
-from oed_sysid.testing.problem_contract import CENTRAL, STEP, refuse, unkept
+from oed_sysid.runtime.constants import DIFFERENCE_STEP, ROUNDING
+from oed_sysid.testing.problem_contract import refuse, unkept
 
 # -- the contract of an estimator ------------------------------------------------------
 
@@ -301,9 +301,9 @@ def _at_point(
         broken.append("returns a derivative that is not symmetric")
     row, other = rng.normal(size=(2, len(matrix))) * np.sqrt(np.diag(matrix))
     direction = np.outer(row, row)
-    up, down = (measure(matrix + sign * STEP * direction)[0] for sign in (1, -1))
-    slope, stated = (up - down) / (2.0 * STEP), float(np.sum(gradient * direction))
-    if abs(slope - stated) > CENTRAL * max(abs(slope), abs(stated), 1e-3):
+    up, down = (measure(matrix + sign * DIFFERENCE_STEP * direction)[0] for sign in (1, -1))
+    slope, stated = (up - down) / (2.0 * DIFFERENCE_STEP), float(np.sum(gradient * direction))
+    if abs(slope - stated) > DIFFERENCE_STEP * max(abs(slope), abs(stated), 1e-3):
         broken.append(f"states the slope {stated:.6g} where differences find {slope:.6g}")
     more = measure(matrix + np.outer(other, other))[0]
     if monotone and more < value - ROUNDING * max(abs(value), 1.0):

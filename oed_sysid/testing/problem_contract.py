@@ -47,12 +47,9 @@ from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information import information_of
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import DIFFERENCE_STEP
 
 # -- the contract of an effect ---------------------------------------------------------
-
-
-# Step of finite differences, in typical sizes, and what central ones leave, relative.
-STEP = CENTRAL = 1e-5
 
 
 def check_effect(
@@ -238,12 +235,14 @@ class _Probe:
             sides = []
             for sign in (1.0, -1.0):
                 moved = point.copy()
-                moved[column] += sign * STEP * size
+                moved[column] += sign * DIFFERENCE_STEP * size
                 changed = model.with_values(dict(zip(names[n_own:], moved[n_own:], strict=True)))
                 sides.append(self.outputs(changed, moved[:n_own], commands))
-            difference = (sides[0] - sides[1]) / (2 * STEP * size)
-            noise = 1e-14 * np.abs(sides[0]).max() / STEP
-            broken += _compare(exact[:, :, column] * size, difference * size, name, CENTRAL, noise)
+            difference = (sides[0] - sides[1]) / (2 * DIFFERENCE_STEP * size)
+            noise = 1e-14 * np.abs(sides[0]).max() / DIFFERENCE_STEP
+            broken += _compare(
+                exact[:, :, column] * size, difference * size, name, DIFFERENCE_STEP, noise
+            )
         return broken
 
     def slope_at_zero(self, rng: np.random.Generator) -> list[str]:
@@ -256,9 +255,9 @@ class _Probe:
         for name in self.effect.amplitude_names:
             column = len(own) + model.free_names.index(name)
             size = model.parameter(name).magnitude
-            grown = self.outputs(model.with_values({name: STEP * size}), own, commands)
-            difference = (grown - base) / STEP
-            noise = 1e-14 * np.abs(base).max() / STEP
+            grown = self.outputs(model.with_values({name: DIFFERENCE_STEP * size}), own, commands)
+            difference = (grown - base) / DIFFERENCE_STEP
+            noise = 1e-14 * np.abs(base).max() / DIFFERENCE_STEP
             label = f"{name} at zero"
             broken += _compare(exact[:, :, column] * size, difference, label, 2e-3, noise)
         return broken

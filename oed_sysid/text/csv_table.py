@@ -33,6 +33,7 @@ import numpy as np
 
 from oed_sysid.errors import DataError
 from oed_sysid.runtime import files
+from oed_sysid.runtime.constants import TABLE_BYTES
 from oed_sysid.text.units import is_unit, parse_header
 
 # -- one cell of a table ---------------------------------------------------------------
@@ -145,8 +146,6 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
-# Larger than any table that fits into memory as Python text.
-LARGEST = 4 * 1024**3
 _CONTROL = dict.fromkeys((*range(9), *range(14, 32), 127))
 
 
@@ -204,8 +203,8 @@ def _split(text: str) -> list[str]:
 def _check_file(path: Path) -> None:
     """Refuse what is no file that can be read."""
     files.check_file(path)
-    if path.stat().st_size > LARGEST:
-        raise DataError(f"{path.name} has more than {LARGEST >> 30} GB. Cut it into parts.")
+    if path.stat().st_size > TABLE_BYTES:
+        raise DataError(f"{path.name} has more than {TABLE_BYTES >> 30} GB. Cut it into parts.")
 
 
 def _text(path: Path) -> str:
@@ -450,15 +449,13 @@ def _check_layout(path: Path, header: str, delimiter: str, first: str) -> None:
 
 def _check_delimiter(path: Path, header: str, delimiter: str, first: str) -> None:
     """Refuse other marks between the cells of the header, or of the rows, than those read."""
-    n_columns = header.count(delimiter)
-    if n_columns and first.count(delimiter) != n_columns:
+    if n_columns := header.count(delimiter):
         others = [one for one in (*_DELIMITERS, "|") if first.count(one) == n_columns]
-        if others:
+        if others and delimiter not in others:
             raise DataError(
                 f"The header of {path.name} has {delimiter!r} between cells, but its rows have "
                 f"{others[0]!r}. Use the same everywhere."
             )
-    if n_columns:
         return
     wide = max(_DELIMITERS, key=first.count)
     if first.count(wide):
@@ -635,7 +632,8 @@ def _values(path: Path, column: _Column, cells: Sequence[str], rows: list[int]) 
 # -- good files, in blocks ---------------------------------------------------------------
 
 
-_HEAD, _BLOCK = 1 << 16, 1 << 22  # bytes read for the header, and parsed at once
+# Bytes: no line is longer, nor a datagram; and what is parsed at once.
+LONGEST_LINE, _BLOCK = 1 << 16, 1 << 22
 _WORTH = 1 << 20  # bytes whose reading takes as long as loading a faster reader
 _BLANK = re.compile(rb"(?<![^,])[ \t\v\f]+(?![^,])")
 _WORDS = re.compile(
@@ -663,7 +661,7 @@ def _quick(path: Path, columns_of_text: bool) -> Table | None:
 
 def _first_row(path: Path, stream: BinaryIO) -> tuple[_Lines, int, int]:
     """How the rows of a file are laid out, the number of the first, and where it begins, bytes."""
-    head = stream.read(_HEAD)
+    head = stream.read(LONGEST_LINE)
     head = head[: head.rfind(b"\n") + 1]
     if b"\r" in head.replace(b"\r\n", b""):
         raise ValueError
@@ -680,7 +678,7 @@ def _first_row(path: Path, stream: BinaryIO) -> tuple[_Lines, int, int]:
 def _blocks(stream: BinaryIO, start: int) -> Iterator[bytes]:
     """Whole lines, some megabytes of them at a time, without the line end of the last."""
     size = stream.seek(0, os.SEEK_END)
-    stream.seek(max(size - _HEAD, start))
+    stream.seek(max(size - LONGEST_LINE, start))
     left = size - start - len(tail := stream.read()) + len(tail.rstrip(b"\r\n"))
     stream.seek(start)
     rest = b""

@@ -1,0 +1,20 @@
+"""Numbers that the whole package shares: tolerances of arithmetic, and limits of what is read."""
+
+# What is equal in exact arithmetic is equal within this share: sums of times and commands, and the
+# ends of iterations that converge quadratically. Halved or doubled, nothing changes.
+ROUNDING = 1e-9
+# A direction with a singular value below this share of the largest (its information is the square)
+# is none: what is known of it is rounding of sums over a record. Ten times as large, directions
+# that runs hardly show count as unknown.
+RANK_TOLERANCE = 1e-6
+# Step of a difference quotient, in typical sizes: near the cube root of the precision of numbers,
+# where truncation and rounding of a central difference are equally small.
+DIFFERENCE_STEP = 1e-5
+# Twice the logarithm of the odds, 20 to 1, from which one explanation is told from another. Halved
+# it is 4 to 1, doubled 400 to 1.
+TOLD_APART = 6.0
+# No state is this many times its scale, or its SI unit where the scale is smaller (times since 1970
+# are 1e9), nor a sensitivity this many times the noise: it has run away, although it is a number.
+RUNAWAY = 1e12
+# Of one table or log: more than fits into the memory of most computers.
+TABLE_BYTES = 4 * 1024**3
