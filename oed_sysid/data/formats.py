@@ -166,6 +166,13 @@ class _Timed(NamedTuple):
     unit: str | None
 
 
+def _seconds_of_digits(clock: np.ndarray) -> np.ndarray:
+    """Times of day, s, of a clock in digits: 115959 is a second before 120000."""
+    hours, rest = np.divmod(np.mod(clock, 1e6), 1e4)
+    minutes, seconds = np.divmod(rest, 100.0)
+    return counted_on(3600.0 * hours + 60.0 * minutes + seconds)
+
+
 def timed_by(
     columns: Mapping[str, np.ndarray], header: str | None = None, in_seconds: Container[str] = ()
 ) -> _Timed | None:
@@ -184,11 +191,8 @@ def timed_by(
     if not (unit and is_unit(unit)):
         unit = "s" if header in in_seconds else unit_of_counts(counts)
     if unit == "clock":
-        hours, rest = np.divmod(np.mod(counts, 1e6), 1e4)
-        minutes, seconds = np.divmod(rest, 100.0)
-        times, unit = counted_on(3600.0 * hours + 60.0 * minutes + seconds), "s"
-    else:
-        times = to_si(counts, unit or "s")[0]
+        counts, unit = _seconds_of_digits(counts), "s"
+    times = to_si(counts, unit or "s")[0]
     return _Timed(times, fields, header, unit) if np.isfinite(times).sum() > 1 and fields else None
 
 

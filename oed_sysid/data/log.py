@@ -440,7 +440,8 @@ class Log:
         if not field or (self.clock and field.endswith(f".{self.clock}")):
             return self._counting_in(unit) if unit else self
         clock = self[field]
-        times = to_si(clock.values, unit or clock.unit or "s")[0]
+        unit = unit or clock.unit or "s"
+        times = to_si(clock.values, unit)[0]
         good = np.isfinite(times)
         times = times - np.nanmin(times)
         kept = tuple(
@@ -449,7 +450,7 @@ class Log:
             if one.values.size == times.size and good.any()
         )
         name = field.rpartition(".")[2]
-        return replace(self, series=kept, clock=name, clock_unit=unit or clock.unit or "s")
+        return replace(self, series=kept, clock=name, clock_unit=unit)
 
     def _counting_in(self, unit: str) -> Log:
         """The log with times that count in another unit than they were said to."""

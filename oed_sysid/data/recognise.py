@@ -885,7 +885,7 @@ def called(found: Recognised, channels: Channels, log: Log) -> Recognised:
 def _meant(channel: Input | Output, found: Recognised, log: Log, sole: bool) -> Guess | None:
     """The field that is meant by a channel, if there is one."""
     role = role_of(channel) if sole else ""
-    by_role = [one for one in found.guesses if role and one.role == role]
+    by_role = [one for one in found.guesses if one.role == role]
     named = [_named(one, channel, found) for one in log.series if _is_called(one, channel)]
     told = [one for one in named if log[one.field].unit and converts(one.unit, channel.unit)]
     best = next(iter((*told, *by_role, *named)), None)

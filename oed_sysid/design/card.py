@@ -23,6 +23,7 @@ import numpy as np
 
 from oed_sysid.design.assurance import Assurance, PredictedTracks
 from oed_sysid.design.vehicles import between, outside, quantity, span, units_of
+from oed_sysid.errors import listed
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import Trajectory, trajectory_of
 from oed_sysid.information.noise import bearing, sea_words
@@ -175,12 +176,9 @@ class TrialCard:
         for name in (name for name in run.limits.inputs if name not in run.constants):
             yield "orders of", self._range(name)
         levels = [f"{o.name} {quantity(o.noise_std, o.unit)}" for o in model.outputs if o.noise_std]
-        yield "noise assumed", ", ".join(levels) or "none"
+        yield "noise assumed", listed(levels)
         if self.sea is not None:
-            for one in self.sea.seas:
-                if one.direction is not None:
-                    yield "run heading", f"begin with the swell from {bearing(one.direction)}"
-            yield "disturbance forces", sea_words(self.sea)
+            yield from _at_sea(self.sea)
 
     def _record(self) -> Section:
         """What people write beside the log; of a ship also where standards apply to her."""
@@ -296,6 +294,14 @@ class TrialCard:
         table = Table(("signal", "is", "", "fires on"), rows, words=(1, 2))
         words = [f"Any of these fires on {safe.any_fires:.1%} of {safe.n_checked} vehicles."]
         return Section(title, words, (table,), heading=True, indent=2)
+
+
+def _at_sea(sea: NoiseModel) -> Iterable[tuple[str, str]]:
+    """What the sea of a run asks for, and is."""
+    for one in sea.seas:
+        if one.direction is not None:
+            yield "run heading", f"begin with the swell from {bearing(one.direction)}"
+    yield "disturbance forces", sea_words(sea)
 
 
 def folded(lines: Sequence[str]) -> list[str]:

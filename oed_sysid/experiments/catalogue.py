@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 
-from oed_sysid.errors import ProblemError
+from oed_sysid.errors import ProblemError, listed
 from oed_sysid.experiments.definition import Problem, faults
 
 FILE = "problem.py"
@@ -99,29 +99,29 @@ def _find(name_or_folder: str | Path) -> Path:
     for file in (path, path / FILE):
         if file.is_file() and file.suffix == ".py":
             return file
+    raise _not_found(name_or_folder, path, shipped)
+
+
+def _not_found(given: str | Path, path: Path, shipped: tuple[str, ...]) -> ProblemError:
+    """What to do about a name that is neither shipped nor a folder with a problem."""
     if path.is_file():
-        raise ProblemError(
+        return ProblemError(
             f"{path} is a file. Give the folder that holds {FILE}; data is read with "
             "oed_sysid.read_csv(path, problem.channels)."
         )
     if path.is_dir():
         found = ", ".join(sorted(entry.name for entry in path.iterdir())[:8]) or "nothing"
-        raise ProblemError(
+        return ProblemError(
             f"The folder {path} has no {FILE}; it holds {found}. Write one, or start from "
             "one that works: oed-sysid new FOLDER, in Python oed_sysid.new_problem(folder)."
         )
-    raise _not_found(name_or_folder, path, shipped)
-
-
-def _not_found(given: str | Path, path: Path, shipped: tuple[str, ...]) -> ProblemError:
-    """What to do about a name that is neither shipped nor a folder."""
     near = difflib.get_close_matches(path.name, shipped, n=3, cutoff=0.5)
     hint = f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
     is_path = isinstance(given, Path) or {os.sep, "/"} & set(str(given))
     looked = f"no folder {path}" if is_path else f"no folder of that name in {Path.cwd()}"
     return ProblemError(
         f"There is no problem {str(given)!r}: it is not shipped, and there is {looked}."
-        f"{hint} Shipped problems: {', '.join(shipped) or 'none'}. A folder of your own is made by "
+        f"{hint} Shipped problems: {listed(shipped)}. A folder of your own is made by "
         "oed-sysid new FOLDER, in Python oed_sysid.new_problem(folder)."
     )
 

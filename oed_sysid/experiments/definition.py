@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.errors import OedSysidError, ProblemError, located
+from oed_sysid.errors import OedSysidError, ProblemError, listed, located
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Channels, settle
@@ -329,7 +329,7 @@ class Problem:
             f"outputs      {outputs}",
             f"models       {', '.join(self.variants)}",
             f"candidates   {', '.join(effect.name for effect in self.effects) or USUAL}",
-            f"experiments  {', '.join(self.experiments) or 'none'}",
+            f"experiments  {listed(self.experiments)}",
             f"left out     {self.lacking}" if self.left_out else "",
             *(f"[{number}] {text}" for number, text in enumerate(self.references, start=1)),
             *(f"note: {text}" for text in self.notes()),

@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from oed_sysid.errors import ModelError
+from oed_sysid.errors import ModelError, listed
 from oed_sysid.experiments import base
 from oed_sysid.experiments.base import Numbers, Rule
 from oed_sysid.experiments.schedules import interval
@@ -296,7 +296,7 @@ def measured_signal(owner: str, name: str, signals: Mapping[str, float]) -> floa
     if name not in signals:
         raise ModelError(
             f"The manoeuvre of {owner!r} reacts to {name!r}, which is not among the signals "
-            f"({', '.join(signals) or 'none'}). Measure it, or set feedback to one of them."
+            f"({listed(signals)}). Measure it, or set feedback to one of them."
         )
     return float(signals[name])
 

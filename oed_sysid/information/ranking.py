@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.errors import DesignError, located, respelled
+from oed_sysid.errors import DesignError, listed, located, respelled
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.information.bound import COLOURED, RunInformation
 from oed_sysid.information.identifiability import Subset, identifiable_subset
@@ -368,7 +368,7 @@ class Reduction:
         """Return the order of dropping and its cost as a table."""
         title = (
             f"{self.full.name}: {self.n_dropped} of {len(self.drops)} parameters dropped "
-            f"({', '.join(self.dropped) or 'none'})"
+            f"({listed(self.dropped)})"
         )
         rows = [
             (str(index), drop.name, f"{drop.cost:.3g}", f"{drop.predicted_rms:.3g}",

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import ndtri
 
-from oed_sysid.errors import DataError, ModelError, SimulationError
+from oed_sysid.errors import DataError, ModelError, SimulationError, listed
 from oed_sysid.experiments.base import above_zero, optional, positive
 from oed_sysid.experiments.indices import TurningIndices, turning_indices
 from oed_sysid.experiments.manoeuvres import TurningCircle
@@ -313,17 +313,17 @@ def _approach(
 
     Amidships where there is no such course nearby.
     """
-    held = {"psi": 0.0, **start}
     turning = [name for name in TURNING if name in model.state_names]
-    if "r" in turning:
-        held["r"] = 0.0
+    held = {"psi": 0.0, **start} | dict.fromkeys({"r"}.intersection(turning), 0.0)
     if not turning:
         return 0.0, dict(start), []
     try:
         found = equilibrium(model, fixed=held, free=(steered,), steady=turning)
         trim = found.inputs[steered]
-        why = "" if found.ok else "no rudder angle was found that keeps a course."
-        if found.ok and abs(trim) > NEAR_AMIDSHIPS:
+        why = ""
+        if not found.ok:
+            why = "no rudder angle was found that keeps a course."
+        elif abs(trim) > NEAR_AMIDSHIPS:
             why = (
                 f"a course takes {math.degrees(trim):.1f} deg, which is beyond the "
                 f"{math.degrees(NEAR_AMIDSHIPS):g} deg of a neutral rudder."
@@ -361,7 +361,7 @@ def _unsteady(model: Model, steered: str, trim: float, start: Mapping[str, float
 def _rudder_input(model: Model) -> str:
     if len(model.inputs) != 1:
         raise ModelError(
-            f"Model {model.name!r} has the inputs {', '.join(model.input_names) or 'none'}; a "
+            f"Model {model.name!r} has the inputs {listed(model.input_names)}; a "
             "turning circle needs a model with the rudder as its only input. Fix the others at "
             "their values by replacing them with parameters."
         )
