@@ -14,13 +14,15 @@ exit code   meaning
 
 from __future__ import annotations
 
+import signal
 import sys
 import traceback
 import warnings
 from collections.abc import Sequence
 
-# The table above; 130 is 128 plus the number of the signal, as shells count.
-DONE, NO_RESULT, BAD_INPUT, UNEXPECTED, SUSPECT, INTERRUPTED = 0, 1, 2, 3, 4, 130
+# The table above; 128 plus the number of the signal, as shells count.
+DONE, NO_RESULT, BAD_INPUT, UNEXPECTED, SUSPECT = range(5)
+INTERRUPTED = 128 + signal.SIGINT
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -9,7 +9,7 @@ import difflib
 import itertools
 import re
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -34,25 +34,25 @@ from oed_sysid.text.units import (
 
 
 # Seconds.
-DAY = 86_400.0
+DAY = timedelta(days=1).total_seconds()
 TIME_NAMES = ("t", "time", "times", "tout", "timestamp")
 # Seconds since 1970 of the years 2000 to 2100: a time there counts from 1970.
-EPOCH = (946_684_800.0, 4_102_444_800.0)
+EPOCH = tuple(datetime(year, 1, 1, tzinfo=UTC).timestamp() for year in (2000, 2100))
 # A log that steps by more seconds may count milliseconds.
 SUSPICIOUS_STEP = 20.0
 # What no vehicle reaches, by SI unit.
 SUSPICIOUS_SIZE = {"rad": 20.0, "rad/s": 50.0, "m/s": 500.0, "m/s^2": 1e4, "m": 1e8}
-# Beyond this a number is no measurement, and its square soon no number.
-LARGEST = 1e50
+# Loggers write in single precision: a larger number is no measurement.
+LARGEST_NUMBER = float(np.finfo(np.float32).max)
 # Numbers that loggers write where they have no sample.
 SENTINELS = (
     *(-99.0, -999.0, -9999.0, -99999.0, -999999.0, 999.0, 9999.0, 99999.0, 999999.0),
     *(9999999.0, -999.25, -32768.0, 32767.0, 65535.0, -2147483648.0, 2147483647.0),
     *(4294967295.0, 1e20, -1e20, 1e30, -1e30, 1e35, 1e37, 9.969209968386869e36, -1e34),
 )
-# Days of the years 1970 to 2100 since 1900 (spreadsheets) and since the year 0 (MATLAB), and the
-# step below which a log in seconds is none.
-DAYS = ((25569.0, 73051.0, 25569.0), (719529.0, 767011.0, 719529.0))
+# Days before 1970 in spreadsheets, and in MATLAB, which counts a leap year 0 that Python does not.
+UNIX = date(1970, 1, 1)
+DAYS = ((UNIX - date(1899, 12, 30)).days, UNIX.toordinal() + 366)
 
 
 class Columns:
@@ -171,7 +171,7 @@ class Columns:
                 "like seconds. Write seconds, or ISO times such as 2024-05-31T12:00:00.5Z."
             )
         if counted == "day":
-            origin = next(origin for low, high, origin in DAYS if low < first < high)
+            origin = max(origin for origin in DAYS if origin < first)
             moment = datetime.fromtimestamp((first - origin) * DAY, UTC)
             raise DataError(
                 f"{where} starts at {first:.12g} and steps by {np.median(np.diff(times)):.3g}: it "
@@ -372,7 +372,7 @@ class Columns:
         """Refuse numbers that stand for something else, or are too large to be squared."""
         values = self.table.values[:, index]
         size = np.abs(values[np.isfinite(values)])
-        if size.size and size.max() > LARGEST:
+        if size.size and size.max() > LARGEST_NUMBER:
             row = int(np.nanargmax(np.where(np.isfinite(values), np.abs(values), -1.0)))
             raise DataError(
                 f"{self._where(index, row)}: {values[row]:.3g} is no measurement. Leave the "
@@ -452,7 +452,8 @@ def unit_of_counts(counts: np.ndarray) -> str | None:
         if EPOCH[0] < good[0] * float(to_si(1.0, unit)[0]) < EPOCH[1]:
             return unit
     step = float(np.median(np.diff(good))) if good.size > 1 else 0.0
-    if any(low < good[0] and good[-1] < high and 0.0 < step < 0.01 for low, high, _ in DAYS):
+    until = EPOCH[1] / DAY
+    if any(origin < good[0] and good[-1] < origin + until and 0.0 < step < 0.01 for origin in DAYS):
         return "day"
     return "clock" if clock_of_digits(good) else None
 

@@ -27,10 +27,8 @@ from oed_sysid.errors import ModelError
 from oed_sysid.text import expressions
 from oed_sysid.text.expressions import CONSTANTS, NUMERIC, walk
 from oed_sysid.text.typeset import Product
-from oed_sysid.text.units import Dimension
+from oed_sysid.text.units import LARGEST_EXPONENT, Dimension
 
-# Of a unit; beyond it a text is a mistake, and exact fractions grow without end.
-LARGEST_POWER = 100
 _SAME = ("abs", "floor", "min", "max", "clip", "where")
 
 
@@ -279,10 +277,10 @@ class _Walk:
         if base.is_dimensionless:
             return base
         power = float(walk(node.right, {}, NUMERIC))
-        if not abs(power) <= LARGEST_POWER:
+        if not abs(power) <= LARGEST_EXPONENT:
             raise ModelError(
                 f"In {self.expression!r}, {base.known} has the exponent {power:g}: expected "
-                f"one between -{LARGEST_POWER} and {LARGEST_POWER}."
+                f"one between -{LARGEST_EXPONENT} and {LARGEST_EXPONENT}."
             )
         return base**power
 

@@ -29,7 +29,7 @@ from functools import lru_cache
 from itertools import groupby
 
 from oed_sysid.errors import ModelError
-from oed_sysid.text.units import Dimension, dimension
+from oed_sysid.text.units import MOST_CHARACTERS, Dimension, dimension
 
 AXES: Mapping[str, str] = {
     "X": "surge force",
@@ -51,8 +51,6 @@ _GREEK = frozenset(
     | {"mu", "nu", "xi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"}
 )
 _SYMBOLS = "|".join(sorted(FACTOR_UNITS, key=len, reverse=True))
-# No derivative of a tenth order has been measured.
-MOST_CHARACTERS = 60
 _FACTOR = re.compile(rf"(abs)?({_SYMBOLS})")
 _NAME = re.compile(rf"([XYZKMN])_(?:0|((?:(?:abs)?(?:{_SYMBOLS}))+?)(dot)?)")
 

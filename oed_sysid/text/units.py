@@ -20,7 +20,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property, lru_cache
-from itertools import accumulate
 from math import floor, inf, log10, pi
 from pathlib import Path
 from typing import Any
@@ -144,8 +143,8 @@ _NAMED_DIMENSIONS: dict[Dimension, dict[str, Fraction]] = {
 
 # As a header's suffix these would more often be part of the name than a unit.
 _NOT_A_SUFFIX = frozenset({"", "1", "-", "%", "°", "t", "g", "l"})
-# Beyond these a text is no unit that anyone measures in.
-MOST_CHARACTERS, DEEPEST, LARGEST_EXPONENT = 80, 6, 12
+# Beyond these a text is no name and no unit that anyone measures in; fractions would not end.
+MOST_CHARACTERS, LARGEST_EXPONENT = 80, 12
 _NUMBER = r"-?\d+(?:\.\d{1,3})?(?!\d)"
 _SIGN = r"\s*(?:\*\*|\^)\s*"
 _FACTOR = re.compile(
@@ -230,9 +229,6 @@ def _product(text: str, unit: str) -> Dimension:
     if alone := re.search(r"(?:^|[*/(])\s*([*/])|([*/])\s*(?:$|\))", terms):
         mark = alone[1] or alone[2]
         raise DataError(f"{mark!r} stands alone in the unit [{unit}]. Write 'kg m^2/s^2', say.")
-    depth = max(accumulate((letter == "(") - (letter == ")") for letter in terms))
-    if depth > DEEPEST:
-        raise DataError(f"The unit [{unit:.30}] has brackets {depth} deep. Write a short product.")
     try:
         # What stands side by side is a product; nothing but names made here is left in the text.
         whole = re.sub(r"(?<=[\d)])\s*(?=[x(])", "*", " ".join(terms.split()))
