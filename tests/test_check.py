@@ -39,7 +39,6 @@ from oed_sysid.cli import main
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.evidence import inputs
 from oed_sysid.evidence.check import (
-    FAR,
     LogCheck,
     advised,
     check,
@@ -59,6 +58,7 @@ from oed_sysid.experiments.manoeuvres import ZigZag
 from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.experiments.schedules import FromRecord
 from oed_sysid.experiments.simulation import simulate
+from oed_sysid.likelihood.departures import CLEAR
 from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
@@ -809,7 +809,7 @@ def test_values_far_from_their_priors_make_a_log_suspect(dives_inputs) -> None: 
     log = LogCheck((), data.names)
     assert with_estimates(log, fit).ok
     first = problem.model.free_parameters[0]
-    moved = fit.model.with_values({first.name: first.prior_mean + 1.2 * FAR * first.prior_std})
+    moved = fit.model.with_values({first.name: first.prior_mean + 1.2 * CLEAR * first.prior_std})
     gate = with_estimates(log, replace(fit, model=moved))
     assert [(one.kind, one.signals) for one in gate.serious] == [("far", (first.name,))]
 

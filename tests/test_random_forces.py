@@ -24,12 +24,13 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
 from oed_sysid.likelihood.prediction import unknown_series
-from oed_sysid.likelihood.score_test import CLEAR, ScoreTest, Setting, Start, score_test
+from oed_sysid.likelihood.score_test import ScoreTest, Setting, Start, score_test
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.windows import Windows
 from oed_sysid.physics import Parameter
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import TOLD_APART
 
 FORCE, FORCE_TIME = 0.02, 1.0
 WHITE = MultipleShooting(disturbances="none", coloured="never")
@@ -52,7 +53,7 @@ def test_white_records_rarely_ask_for_forces(count: int) -> None:
     assert np.all(gains > -1e-9)
     assert np.median(gains) < 1.0
     # The bound of a mixture of chi-squared variables, three times and three levels looked at.
-    assert np.sum(gains > CLEAR) <= 2
+    assert np.sum(gains > TOLD_APART) <= 2
     assert gains.max() < 12.0
 
 
@@ -74,7 +75,7 @@ def test_white_data_stay_a_white_fit() -> None:
     assert auto.noise is not None
     assert auto.noise.is_white
     assert auto.innovations is None
-    assert auto.process_noise.statistic < CLEAR
+    assert auto.process_noise.statistic < TOLD_APART
     np.testing.assert_array_equal(auto.estimates, plain.estimates)
 
 

@@ -31,7 +31,7 @@ from oed_sysid.likelihood.noise_model import Sea
 
 MASS, ADDED, LENGTH = 30.0, {"u": 1.0, "v": 36.0, "w": 36.0}, 40.0
 OMEGA = 2 * math.pi / 8.0
-K = OMEGA**2 / 9.81
+K = OMEGA**2 / 9.80665
 
 
 def body(length: float = LENGTH) -> Model:
@@ -102,7 +102,7 @@ def test_waves_are_met_more_often_ahead_and_less_often_astern() -> None:
         found = swell(body(), at_depth(5.0, 3.0), f"{degrees}deg")
         assert found.period == pytest.approx(2 * math.pi / (OMEGA + sign * 3.0 * K))
     with pytest.raises(DesignError, match="as fast as"):
-        swell(body(), at_depth(5.0, 9.81 / OMEGA), "180deg")
+        swell(body(), at_depth(5.0, 9.80665 / OMEGA), "180deg")
 
 
 def test_hull_forces_feel_the_water_move() -> None:

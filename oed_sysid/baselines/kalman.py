@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import minimize_scalar
+from scipy.special import chdtr, chdtrc
 
 from oed_sysid.baselines.equations import check_free
 from oed_sysid.baselines.regression import (
@@ -19,6 +20,7 @@ from oed_sysid.baselines.regression import (
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError, located
+from oed_sysid.likelihood.between_records import CHANCE, WORTH_TELLING
 from oed_sysid.likelihood.disturbances import disturbed_equations
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.estimator import check_choice
@@ -36,10 +38,6 @@ DIVERGED = Status(
     "the filter diverged. Start closer, give smaller prior_std, add process_std, or "
     "use MultipleShooting, whose result does not depend on the order of the samples.",
 )
-
-# Mean of e'S^-1 e per measured value beyond which a filter's errors are not those it states, and
-# the number of values from which on this is no chance.
-INCONSISTENT, ENOUGH = 2.0, 50
 
 
 @dataclass(frozen=True)
@@ -182,7 +180,8 @@ def consistency(square: float, count: int) -> Status:
     count : int
         Number of measured values.
     """
-    if count < ENOUGH or 1.0 / INCONSISTENT <= square <= INCONSISTENT:
+    chance = min(chdtr(count, count * square), chdtrc(count, count * square))
+    if chance > CHANCE or 1.0 / WORTH_TELLING <= np.sqrt(square) <= WORTH_TELLING:
         return CONVERGED
     found = f"the normalised innovations squared are {square:.3g} on average (expected 1): "
     if square < 1.0:  # values can be used, their errors are on the safe side

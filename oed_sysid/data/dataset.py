@@ -36,7 +36,7 @@ import numpy as np
 
 from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.frames import RECORD, frame, tables_of
-from oed_sysid.data.record import Record, empty_outputs, nearest
+from oed_sysid.data.record import SAME_MOMENT, Record, empty_outputs, nearest
 from oed_sysid.errors import DataError, located
 from oed_sysid.physics.channels import Channels
 from oed_sysid.runtime.display import as_html
@@ -477,8 +477,6 @@ _COMPARISONS = (
     _Comparison(2e-4, 1e-3, 0.5, 0.9),
     _Comparison(1e-8, None, 0.5, 0.995),
 )
-# Times are the same within this part of a sampling interval.
-_CLOCK = 0.02
 
 
 @dataclass(frozen=True)
@@ -620,7 +618,7 @@ def _shifts(a: Record, b: Record, span: np.ndarray, tolerance: float) -> list[fl
                 votes += (sign * (one.times[matches] - other.times[row])).tolist()
     if not votes:
         return []
-    step = max(_CLOCK * min(a.sample_time, b.sample_time), 1e-12)
+    step = max(SAME_MOMENT * min(a.sample_time, b.sample_time), 1e-12)
     found = np.array(votes)
     bins, first, counts = np.unique(np.round(found / step), return_index=True, return_counts=True)
     order = np.argsort(-counts, kind="stable")[:6]
@@ -632,7 +630,7 @@ def _compared(
 ) -> Overlap | None:
     """Compare all rows at one shift; None if they are not the same."""
     partner, distance = nearest(b.times + shift, a.times)
-    clock = _CLOCK * min(a.sample_time, b.sample_time)
+    clock = SAME_MOMENT * min(a.sample_time, b.sample_time)
     first, second = a.outputs[partner], b.outputs
     both = np.isfinite(first) & np.isfinite(second)
     compared = (distance <= clock) & both.any(axis=1) & _moves(b)

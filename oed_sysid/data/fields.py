@@ -37,7 +37,7 @@ RIVAL = 0.97
 # Relative error of a slope: calibration, currents, and 1/cos of a pitch of 14 degrees.
 SLOPE = 0.03
 # Nats that a name, a convention that most loggers keep, and a format's own definition are worth.
-NAMED, USUAL, DEFINED = 4.0, 2.5, 12.0
+NAMED, USUAL, DEFINED = map(TABLE["nats"].__getitem__, ("name", "convention", "definition"))
 # Most fields, and least and most rows of the grid: work grows with the square of the first, and
 # rates and positions are integrals, to which more means would only add time.
 MOST_FIELDS, ROWS = 48, (16, 1500)

@@ -29,7 +29,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from oed_sysid.errors import DataError, located
+from oed_sysid.errors import DataError, listed, located
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.runtime.display import as_html, counted
 
@@ -41,11 +41,13 @@ TURN = 2.0 * np.pi
 PERIODS = (TURN, 360.0)
 # A jump is a clear wrap if what remains of it after adding the turn is this share of a turn;
 # a signal that moves more than that between samples is too sparse to tell.
-CLEAR = 0.08
+WRAP_SHARE = 0.08
 # ... and is not faster than this multiple of what the signal does around it.
 FASTER = 8.0
 # A gap is so many usual steps long.
 GAP = 4.0
+# Samples are of one moment within this share of the shortest sampling interval.
+SAME_MOMENT = 0.1
 # Fewer samples say nothing of a motion, or of a rate beside a gap.
 MINIMUM_SAMPLES = 5
 
@@ -147,19 +149,20 @@ def clear_wraps(values: np.ndarray) -> tuple[float, np.ndarray] | None:
         return None
     reach = float(np.max(values, where=finite, initial=-np.inf))
     reach -= float(np.min(values, where=finite, initial=np.inf))
-    periods = [p for p in PERIODS if p * (1.0 - 2.0 * CLEAR) < reach < p * (1.0 + 0.5 * CLEAR)]
+    least, most = 1.0 - 2.0 * WRAP_SHARE, 1.0 + 0.5 * WRAP_SHARE
+    periods = [p for p in PERIODS if least * p < reach < most * p]
     if not periods:  # of nearly all signals this is all that has to be looked at
         return None
     present = np.flatnonzero(finite)
     steps = np.diff(values[present])
     for period in periods:
-        jumps = np.flatnonzero(np.abs(np.abs(steps) - period) < CLEAR * period)
+        jumps = np.flatnonzero(np.abs(np.abs(steps) - period) < WRAP_SHARE * period)
         if not jumps.size:
             continue
         rest = np.abs(steps - period * np.round(steps / period))
         usual = np.delete(rest, jumps)
         pace = float(np.quantile(usual, 0.9)) if usual.size else np.inf
-        if pace > CLEAR * period or rest[jumps].max() > FASTER * max(pace, 0.002 * period):
+        if pace > WRAP_SHARE * period or rest[jumps].max() > FASTER * max(pace, 0.002 * period):
             continue
         return period, present[jumps + 1]
     return None
@@ -356,7 +359,7 @@ class Record:
         if array.ndim != 2 or array.shape[1] != len(names):
             raise DataError(
                 f"Record {self.name!r} has {kind} of shape {array.shape}. Expected time first, "
-                f"({n_samples}, {len(names)}), with the columns {', '.join(names) or 'none'}."
+                f"({n_samples}, {len(names)}), with the columns {listed(names)}."
             )
         if array.shape[0] != n_samples:
             raise DataError(

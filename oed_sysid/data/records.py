@@ -20,6 +20,7 @@ from oed_sysid.data.mapping import Cut, LogMapping, Source
 from oed_sysid.data.record import (
     GAP,
     MINIMUM_SAMPLES,
+    SAME_MOMENT,
     Record,
     check_wraps,
     empty_outputs,
@@ -30,10 +31,8 @@ from oed_sysid.errors import DataError, located
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.text.units import converts, same_unit, to_si
 
-# Samples of outputs are the same moment within this share of the shortest sampling interval.
-TOLERANCE = 0.1
 # Switching times of a held command become rows if there are fewer of them than this share of rows.
-RARE = 0.2
+SWITCHES_ADDED = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +237,7 @@ class _Manoeuvre:
             step = work.mapping.sample_time
             self.pieces = {name: self._thinned(p, step) for name, p in self.pieces.items()}
         steps = [piece.step for piece in self.pieces.values() if piece.times.size > 1]
-        self.tolerance = work.mapping.tolerance or TOLERANCE * min(steps, default=0.0)
+        self.tolerance = work.mapping.tolerance or SAME_MOMENT * min(steps, default=0.0)
 
     def _note(self, words: str) -> None:
         self.work.notes.append(f"{self.cut.name}: {words}")
@@ -351,7 +350,7 @@ class _Manoeuvre:
             changes = signal.times[1:][np.diff(signal.values) != 0.0]
             changes = np.unique(changes[(changes > rows[0]) & (changes < rows[-1])])
             more = self._joined(rows, changes)
-            if more.size <= (1.0 + RARE) * rows.size:
+            if more.size <= (1.0 + SWITCHES_ADDED) * rows.size:
                 rows = more
             else:
                 step = float(np.median(np.diff(rows)))

@@ -40,7 +40,7 @@ from oed_sysid.errors import DesignError
 
 # Of the log criterion, per parameter of D, to its bound at which weights are optimal: far below
 # what a run is worth.
-GAP = 2e-4
+GAP_TO_BOUND = 2e-4
 # Runs tried in an exchange, and starts that are exchanged.
 _TRIED = 4
 
@@ -175,7 +175,7 @@ def relaxed(library: Library, costs: np.ndarray) -> Weights:
             ceiling = min(ceiling, value + float(d.max() - w @ d))
             if value > best.value:
                 best = Weights(w / costs, value, ceiling)
-            if ceiling - best.value < GAP * scale:
+            if ceiling - best.value < GAP_TO_BOUND * scale:
                 break
             # A run of hardly any weight cannot come back unless its slope says so.
             w = np.where((w < 1e-10) & (d < w @ d), 0.0, w)

@@ -43,9 +43,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from math import isqrt
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
+from scipy.special import ndtr
 
 from oed_sysid.design.criteria import SURE
 from oed_sysid.design.vehicles import (
@@ -68,17 +70,15 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
 from oed_sysid.runtime.parallel import run_cells
 
 NO_LIMIT = "no limit on the motion was given"
 # Ranges of the motion that are stated leave out this share of the vehicles at either end.
-_TAIL = 0.025
-# Parts in which vehicles are simulated, each told when it is done: enough for some ten processes.
-BLOCKS = 20
+_TAIL = float(ndtr(-TWO_SIDED_95))
 # A run is stopped this part of the way from the start before a limit, or, of the width of the
 # stated range, beyond that of an attitude, depth or speed without a limit.
-_ROOM = 0.1
+_EARLIER = 0.1
 # What a crew watches: attitude, depth, speed.
 WATCHED = ("phi", "theta", "z", "u")
 # Relative error up to which a bound under disturbance forces is taken as it is, and a coefficient
@@ -344,7 +344,8 @@ def _simulated(
     met: Sequence[tuple[Model, Experiment]], bounds: LimitBounds, names: Sequence[str]
 ) -> list[_Behaviour]:
     """What all vehicles do, in their order, spread over processes."""
-    parts = np.array_split(np.arange(len(met)), BLOCKS)
+    # As many parts as vehicles in each: enough for several processes, and told when one is done.
+    parts = np.array_split(np.arange(len(met)), 1 + isqrt(len(met)))
     work = partial(_behaviour, bounds=bounds, names=names)
     blocks = {f"vehicles from {i[0] + 1}": [met[j] for j in i] for i in parts if len(i)}
     return [one for part in run_cells(work, blocks, n_jobs=None).values() for one in part]
@@ -384,10 +385,10 @@ def _rules(
         if name in limited:
             first = experiment.initial.get(name, 0.0)
             # From the start towards the limit, so that the crew has time before it is reached.
-            lower, upper = (first + (1 - _ROOM) * (bound - first) for bound in limited[name])
+            lower, upper = (first + (1 - _EARLIER) * (bound - first) for bound in limited[name])
         else:
             low, high = ranges[name]
-            room = _ROOM * max(high - low, 1e-9)
+            room = _EARLIER * max(high - low, 1e-9)
             lower, upper = low - room, high + room
         column = ends[:, list(ranges).index(name)]
         outside = (column[:, 0] < lower) | (column[:, 1] > upper)

@@ -47,7 +47,7 @@ from oed_sysid.runtime.threads import single_threaded
 
 # Shares of the room between start and limits within which commands are refined: the rest is for
 # vehicles that differ.
-_ROOM = (0.75, 0.5)
+_REFINED_WITHIN = (0.75, 0.5)
 _REFINING = Search(Levels(20), n_starts=2, n_candidates=30, n_steps=10, n_workers=1)
 STANDARD = ("zigzag 10/10", "zigzag 20/20", "circle")
 
@@ -403,7 +403,7 @@ class _Planner:
         coarse = float(pattern.sample_time * np.ceil(coarse / pattern.sample_time - 1e-9))
         expected = self.before(plan, j, np.sqrt(pattern.sample_time / coarse))
         bounds = LimitBounds.of(expected.model, self.limits)
-        for room in _ROOM:
+        for room in _REFINED_WITHIN:
             tight = replace(
                 trial, limits=_tightened(self.limits, pattern.initial, room), sample_time=coarse,
                 name=name,

@@ -60,6 +60,7 @@ from oed_sysid.evidence.result import (
 from oed_sysid.evidence.screens import Fault, jitter, marked, screened
 from oed_sysid.evidence.traces import Trace, units_of
 from oed_sysid.experiments.problem import Problem
+from oed_sysid.likelihood.departures import CLEAR
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.start_guess import check_channels
@@ -83,10 +84,6 @@ __all__ = [
     "signal_check",
     "why_not_more",
 ]
-
-
-# Prior deviations from which on a value is no surprise but another unit, or a wrong prior.
-FAR = 5.0
 
 
 def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) -> LogCheck:
@@ -495,7 +492,7 @@ def _far(fit: Fit, records: tuple[str, ...]) -> list[Finding]:
         for p in fit.model.free_parameters
         if p.prior_std and p.prior_mean is not None
     }
-    far = {name: size for name, size in away.items() if size > FAR}
+    far = {name: size for name, size in away.items() if size > CLEAR}
     row = {"away": ", ".join(f"{name} ({size:.1f})" for name, size in far.items())}
     return [words.said("far", tuple(far), records, row)] if far else []
 

@@ -27,7 +27,7 @@ from oed_sysid.evidence.study import Study, total_error
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
-from oed_sysid.likelihood.gauss_newton import Convergence, Descent
+from oed_sysid.likelihood.gauss_newton import POLISH_STEPS, Convergence, Descent
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels, root_mean_square
 from oed_sysid.likelihood.noise_model import Disturbances
 from oed_sysid.likelihood.prediction import WAYS, Initial, Prediction, predict
@@ -41,9 +41,6 @@ from oed_sysid.physics.model import Model
 from oed_sysid.runtime import display
 from oed_sysid.runtime.threads import single_threaded
 from oed_sysid.text.units import shown_unit
-
-# Most Gauss-Newton steps to the states before forecasts; linear models need one.
-MOST_STEPS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -705,7 +702,7 @@ def _ahead(
     problem = Windows(shooting, [part], weight[None], unknowns)
     descent = Descent(problem.at(problem.start), Windows.at, Convergence(1e-3))
     if np.isfinite(descent.now.cost):
-        descent.run(MOST_STEPS)
+        descent.run(POLISH_STEPS)
     (nodes,) = descent.lowest.point.nodes
     gram = problem.products(part, unknowns, nodes)
     known = np.diag(weight) if gram is None else gram[:, :-1, :-1] + np.diag(weight)

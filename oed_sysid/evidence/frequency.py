@@ -67,8 +67,6 @@ TOLD = 0.6
 # frequencies.
 WINDOWS = 10
 
-# Bands of alternating verdicts that a sentence lists; of more it says how many frequencies hold.
-CHANGES = 3
 
 HOLDS, FAILS, UNTOLD = "holds", "fails", "untold"
 
@@ -380,7 +378,7 @@ class FrequencyComparison:
             return f"{head}the records tell nothing at any frequency."
         spans = [band for band in told if band.verdict == HOLDS]
         missed = [band for band in told if band.verdict == FAILS]
-        if not spans or not missed or len(told) <= CHANGES:
+        if min(len(spans), len(missed)) < 2:
             words = f"holds over {_spans(spans)}" if spans else "holds nowhere"
             more = f", fails over {_spans(missed)}" if missed else ""
             return f"{head}{words}{more}; elsewhere the records tell nothing."

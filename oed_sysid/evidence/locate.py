@@ -46,8 +46,6 @@ CORRELATION_TIMES = (1.0, 20.0)
 CLEAR = threshold(14, 1)
 # Candidates whose signatures are put beside the residual forces.
 N_RIVALS = 2
-# Pieces into which records are cut where the model diverges along them.
-PIECES = 1, 2, 4, 8
 
 WORDS = {
     "actuator": "between the command and the actual {signal}",
@@ -338,11 +336,12 @@ def evidence(fit: FilteredSolution, unit: NoiseModel) -> list[Evidence] | None:
     records are cut, each piece with start states of its own.
     """
     shortest = min(record.n_samples for record in fit.problem.records)
-    for pieces in PIECES:
-        if pieces == 1 or shortest >= LEAST * pieces:
-            bench = _Bench(fit, unit, pieces)
-            if bench.quiet.finite is not None:
-                return bench.judged(places(fit.problem.model))
+    pieces = 1
+    while pieces == 1 or shortest >= LEAST * pieces:
+        bench = _Bench(fit, unit, pieces)
+        if bench.quiet.finite is not None:
+            return bench.judged(places(fit.problem.model))
+        pieces *= 2
     return None
 
 

@@ -72,6 +72,7 @@ from scipy.special import bdtrc, ndtri, pdtrc, pdtri
 from oed_sysid.evidence.chance import FALSE_CLAIMS
 from oed_sysid.evidence.traces import LEAST, MATERIAL, RELATIVE, Trace, fast_noise
 from oed_sysid.likelihood.noise_levels import (
+    SPIKE,
     Runs,
     longest_run,
     off_cubic,
@@ -79,8 +80,8 @@ from oed_sysid.likelihood.noise_levels import (
     surely_beyond,
 )
 
-# Robust deviations of a spike or step that is alone, and from which on tails are counted.
-SPIKE, TAIL = 8.5, 3.5
+# Robust deviations from which on tails are counted.
+TAIL = 3.5
 # Samples on either side of a step that tell level and slope.
 SIDE = 5
 # Samples around a group or a step that say what is usual.

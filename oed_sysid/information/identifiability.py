@@ -13,9 +13,10 @@ from math import sqrt
 
 import numpy as np
 
-from oed_sysid.errors import DesignError, SimulationError, located
+from oed_sysid.errors import DesignError, SimulationError, listed, located
 from oed_sysid.information.bound import RunInformation
 from oed_sysid.information.response import CommandedRun, respond
+from oed_sysid.likelihood.fit import ALIKE
 from oed_sysid.likelihood.information import Information
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Report, Section, Table, as_dict, as_text, share
@@ -74,8 +75,6 @@ def collinearity_index(information: Information, names: Sequence[str] | None = N
 ENUMERATED = 17
 # A parameter of which nothing is known has a value that is wrong by this share.
 ASSUMED = 0.3
-# Two motions keep nearly one ratio where the cosine between them is this large.
-ALIKE = 0.9
 
 
 @dataclass(frozen=True)
@@ -198,7 +197,7 @@ class Subset:
             "parameter", "", "rel. error if free", "if fixed wrong by", "largest bias",
             "effect of its own",
         )  # fmt: skip
-        fixed = ", ".join(self.advised("fix")) or "none"
+        fixed = listed(self.advised("fix"))
         title = (
             f"{self.size} of {len(self.order)} parameters can be estimated together "
             f"(collinearity {self.collinearity:.3g}, at most {self.limit:g}); to fix: {fixed}"
@@ -391,14 +390,15 @@ def _place(
     # In the metric of the data, whoever moves the outputs most does most of the imitation.
     effect = np.abs(change) * np.linalg.norm(relative[:, others], axis=0)
     most = [int(i) for i in np.argsort(-effect)[:3] if effect[i] > 0.2 * effect.max()]
-    biased = int(np.argmax(np.abs(change))) if others else -1
+    moved = zip(np.abs(change).tolist(), (names[i] for i in others), strict=True)
+    bias, biased = max(moved, default=(0.0, ""))
     return Place(
         names[index],
         index in chosen,
         float(bound.std_errors[-1]),
         float(wrong),
-        float(np.abs(change[biased]) * wrong) if others else 0.0,
-        names[others[biased]] if others else "",
+        float(bias * wrong),
+        biased,
         float(imitated),
         tuple((names[others[i]], float(0.1 * change[i])) for i in most),
     )

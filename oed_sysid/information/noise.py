@@ -59,6 +59,7 @@ from math import cos, degrees, exp, pi, radians, sin
 from typing import Any
 
 import numpy as np
+from scipy.constants import g as GRAVITY
 
 from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment
@@ -251,13 +252,15 @@ def _understood(sea: str) -> tuple[str | None, dict[str, float]]:
             f"The sea {sea!r} is not understood. Say {', '.join(SEAS)}, levels by equation such as "
             "Z=0.3,M=0.06,time=2, a swell such as swell=0.3m,8s,030deg, or the file of a fit."
         )
-    given = {}
-    for part in parts:
-        name, equals, number = map(str.strip, part.partition("="))
-        if not (equals and name and _NUMBER.fullmatch(number)):
-            raise DesignError(f"{part!r} in the sea {sea!r} is not understood. Write NAME=NUMBER.")
-        given[name] = float(number)
-    return word, given
+    return word, dict(_level(part, sea) for part in parts)
+
+
+def _level(part: str, sea: str) -> tuple[str, float]:
+    """A name and its number."""
+    name, equals, number = map(str.strip, part.partition("="))
+    if not (equals and name and _NUMBER.fullmatch(number)):
+        raise DesignError(f"{part!r} in the sea {sea!r} is not understood. Write NAME=NUMBER.")
+    return name, float(number)
 
 
 def natural_forces(
@@ -345,7 +348,6 @@ def bearing(direction: float) -> str:
     return f"{abs(angle)} deg to {'starboard' if angle > 0 else 'port'} of the bow"
 
 
-GRAVITY = 9.81  # m/s2
 _VELOCITIES = ("u", "v", "w")
 _RATES = ("p", "q", "r")
 _FORM = "swell=0.3m,8s,030deg"

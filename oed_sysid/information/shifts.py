@@ -32,9 +32,10 @@ from oed_sysid.information.response import TANGENT, CommandedRun
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
+from oed_sysid.runtime.constants import TOLD_APART
 
-# Information: twice the logarithm of odds of 20 to 1, within which two statistics are the same.
-GROUP_WIDTH = 6.0
+# Statistics within it are the same.
+GROUP_WIDTH = TOLD_APART
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,7 +64,7 @@ import numpy as np
 from scipy.special import chdtri, ndtr, stdtr
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.likelihood.between_records import FEWEST_RECORDS, WORTH_TELLING
+from oed_sysid.likelihood.between_records import CHANCE, FEWEST_RECORDS, WORTH_TELLING
 from oed_sysid.likelihood.covariance import Peak, clear_peaks
 from oed_sysid.likelihood.departures import (
     CLEAR,
@@ -97,20 +97,16 @@ from oed_sysid.text.units import shown_unit
 
 # A fit goes through the verdict as what it is.
 Judged = TypeVar("Judged", bound=Estimate)
-# Wrong noise levels from which intervals are worth a word (they are wrong by the same factor).
-LEVEL_FACTOR = 1.15
 # Change by a quarter of the step, in noise levels, that a trajectory must not show.
 STEP_CHANGE = 0.5
 # Parts of a step in the check: an error of fourth order falls by 256.
 FINER = 4
 # Beyond so many times its scale no value is physical, and none that the records do not show.
-RUNAWAY, UNSEEN = 1e8, 1e4
+UNPHYSICAL, UNSEEN = 1e8, 1e4
 # A model that leaves this share of the squares about the mean explains nothing.
 BARELY = 0.99
 # Samples per unknown that are few.
 FEW = 3.0
-# Chance of a correlation over records.
-FOLLOWS_CHANCE = 0.05
 # Lengths of increments as shares of a record; fewer samples than FEWEST say nothing.
 HORIZONS, FEWEST = (0.02, 0.05, 0.125), 10
 # What a fit that ended early asks first; with the check at hand `advised` says what it found.
@@ -304,7 +300,7 @@ def _levels(fit: Estimate) -> Iterator[Found]:
         factor, error, tests = told
         # A filter that was told less white noise than there is finds the rest elsewhere.
         factor *= float(fit.sigma[column] / declared[column])
-        if abs(np.log(factor)) < max(CLEAR * error, np.log(LEVEL_FACTOR)):
+        if abs(np.log(factor)) < max(CLEAR * error, np.log(WORTH_TELLING)):
             continue
         wrong = "small" if factor > 1.0 else "large"
         so = f"Standard errors are too {wrong} for it: set noise_std, or noise='estimate'."
@@ -579,7 +575,7 @@ def _far_values(fit: Estimate) -> Iterator[Found]:
         if name in fit.nominal:
             scale = replace(parameter, value=fit.nominal[name]).magnitude
         # Without a scale: beyond what any coefficient in SI units can be.
-        most = RUNAWAY if np.isfinite(fit.std_errors.get(name, 0.0)) else UNSEEN
+        most = UNPHYSICAL if np.isfinite(fit.std_errors.get(name, 0.0)) else UNSEEN
         limit = most * scale if scale > 0 else 1e15
         if not abs(value) <= max(limit, 1.0):
             facts = {"value": value, "unit": f" {parameter.unit}".rstrip(), "cure": ""}
@@ -599,7 +595,7 @@ def _far_outputs(fit: Estimate) -> Iterator[Found]:
     parts = fit.predictions if fit.innovations is None else fit.innovations
     tops = np.max([np.max(np.abs(np.nan_to_num(p)), axis=0, initial=0.0) for p in parts], axis=0)
     sizes = tops / np.max([highest, spread, fit.sigma], axis=0)
-    for column in np.flatnonzero(sizes > RUNAWAY):
+    for column in np.flatnonzero(sizes > UNPHYSICAL):
         output = fit.model.outputs[column]
         facts = {"value": tops[column], "unit": f" {output.unit}".rstrip(), "cure": ""}
         yield Found(sizes[column], output.name, facts=facts)
@@ -813,7 +809,7 @@ def _follows(fit: Estimate) -> Iterator[Found]:
             signal = max(told, key=lambda one: abs(told[one]))
             t = abs(told[signal]) * np.sqrt((n - 2) / max(1.0 - told[signal] ** 2, 1e-12))
             chance = 2.0 * float(stdtr(n - 2, -t))
-            if chance * len(sizes) <= FOLLOWS_CHANCE:
+            if chance * len(sizes) <= CHANCE:
                 facts = {"follows": signal, "n": n, "chance": 100 * chance}
                 yield Found(told[signal], name, facts=facts)
 
@@ -821,7 +817,7 @@ def _follows(fit: Estimate) -> Iterator[Found]:
 # The gravest first.
 CHECKS = (
     Check(
-        "runaway", _runaway, f"{RUNAWAY:g} scales ({UNSEEN:g} where nothing shows a value)",
+        "runaway", _runaway, f"{UNPHYSICAL:g} scales ({UNSEEN:g} where nothing shows a value)",
         "{signal} ran away to {value:.3g}{unit}, far beyond any scale. Start closer, "
         "bound the parameters, or fix those that the records do not show.{cure}",
     ),
@@ -916,7 +912,7 @@ CHECKS = (
         "unknown_start(effect, std) of oed_sysid.physics, or begin records later.",
     ),
     Check(
-        "noise_level", _levels, f"{CLEAR:g} standard errors and a factor of {LEVEL_FACTOR:g}",
+        "noise_level", _levels, f"{CLEAR:g} standard errors and a factor of {WORTH_TELLING:g}",
         "Noise of {signal}: declared {declared:.3g} {unit}, found {found:.3g} ({size:.2f} times, "
         "95 % {low:.2f} to {high:.2f}). {so}",
     ),
@@ -948,7 +944,7 @@ CHECKS = (
         "{n}. {todo}",
     ),
     Check(
-        "per_record_follows", _follows, f"a chance of {FOLLOWS_CHANCE:g}, all signals together",
+        "per_record_follows", _follows, f"a chance of {CHANCE:g}, all signals together",
         "{signal}, estimated per record, follows the amplitude of {follows} over {n} records "
         "(correlation {size:+.2f}, by chance in {chance:.1g} % of cases): it "
         "stands for physics that grows with {follows}, and predictions beyond these "

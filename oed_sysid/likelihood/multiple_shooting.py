@@ -28,7 +28,6 @@ from oed_sysid.likelihood.integration import resolved
 from oed_sysid.likelihood.judgement import concerns_of, with_verdict
 from oed_sysid.likelihood.laws import posed_again
 from oed_sysid.likelihood.noise_levels import (
-    EXACT,
     credible_levels,
     held_masks,
     input_steps,
@@ -49,7 +48,6 @@ from oed_sysid.likelihood.random_forces import (
     fit_disturbed,
 )
 from oed_sysid.likelihood.score_test import (
-    CLEAR,
     ScoreTest,
     Setting,
     score_test,
@@ -63,11 +61,12 @@ from oed_sysid.likelihood.windows import check_horizon, solve_windows, wide_star
 from oed_sysid.physics.base import RandomProcess
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.unknown import random_effects
+from oed_sysid.runtime.constants import ROUNDING, TOLD_APART
 from oed_sysid.runtime.threads import one_thread
 
-# Mean square misfit, in noise units, from which a start is far; from which it is
-# doubtful; and which a good fit stays below.
-FAR, DOUBTFUL, GOOD = 500.0, 30.0, 4.0
+# Mean square misfit, in noise units, from which a start is doubtful, and which a good fit stays
+# below.
+DOUBTFUL, GOOD = 30.0, 4.0
 # Iterations of a white fit after which residuals that are no noise end it where disturbance forces
 # are known from an earlier fit, and the share of the cost that has to be left.
 KNOWN, ENOUGH = 2, 0.7
@@ -455,7 +454,7 @@ class MultipleShooting:
         except SimulationError:  # the model itself diverges: the status says so
             return fit, None
         fit = replace(fit, process_noise=ProcessNoiseTest(test.gain))
-        if tests and test.gain < CLEAR:
+        if tests and test.gain < TOLD_APART:
             return fit, None
         test = replace(test, noise=_declared_levels(test.noise, declared))
         begun = (starts,) if task.carried is None else ([task.carried], starts)
@@ -554,7 +553,7 @@ class MultipleShooting:
         if self.start == "near" or self.horizon is not None:
             return minimise(shooting, point)
         ends, begin = list[Solution](), shooting.misfit(point)
-        if self.start != "wide" and begin <= FAR:
+        if self.start != "wide":
             ends.append(minimise(shooting, point))
             # A local minimum is worth a second attempt only if the start was doubtful.
             if _trusted(begin, shooting, ends[0]):
@@ -565,8 +564,6 @@ class MultipleShooting:
             if not any(end.finite for end in ends):
                 raise
             return replace(ends[0], reason="interrupted")
-        if self.start != "wide" and len(ends) == 1 and not _explains(shooting, ends[0]):
-            ends.append(minimise(shooting, point))  # what looked far may be the better side
         return _better(ends)
 
 
@@ -610,7 +607,7 @@ def _with_noise(end: Solution, estimated: np.ndarray, minimise: Minimiser) -> So
     shooting = end.shooting
     if end.reason == "diverged" or not estimated.any():
         return end
-    least = EXACT * signal_spread(shooting.dataset)
+    least = ROUNDING * signal_spread(shooting.dataset)
     for _ in range(12):  # three or four suffice as a rule
         shown = residual_levels(end.residuals, end.problem.n_unknowns)
         sigma = np.where(estimated, np.maximum(shown, least), shooting.sigma)
@@ -700,13 +697,13 @@ def _score(
         # White noise above the declared level is no process noise.
         noisier = replace(quiet, white=np.maximum(sizes, 1.0) * quiet.white)
         test = score_test(noisier, start)
-        if test.gain < CLEAR:
+        if test.gain < TOLD_APART:
             return test
     if carried is not None and carried.noise is not None:
         noise = carried.noise
         times = np.unique(noise.force_time[(noise.force > 0) & (noise.force_time > 0)]).tolist()
         test = score_test(quiet, start, times=times)
-        if test.gain >= CLEAR:
+        if test.gain >= TOLD_APART:
             return test
     return score_test(quiet, start)
 
@@ -807,14 +804,6 @@ def _bent(shooting: Shooting, patience: int) -> Callable[[Progress], bool]:
     return told
 
 
-def _explains(shooting: Shooting, solution: Solution) -> bool:
-    """Whether a solution leaves less than half of the motion of every output."""
-    if solution.reason == "diverged":
-        return False
-    spread, left = signal_spread(shooting.dataset), residual_levels(solution.residuals)
-    return bool(np.all((left < 0.5 * spread) | (left < GOOD * shooting.sigma)))
-
-
 def with_levels(model: Model, noise: NoiseModel | None) -> Model:
     """The model with its random effects at the levels and times of a noise model."""
     if noise is None:
@@ -848,4 +837,4 @@ def _declared_levels(noise: NoiseModel, declared: Sequence[RandomProcess]) -> No
 def _no_likelier(disturbed: Fit, white: Fit) -> bool:
     """Whether disturbance forces and colours are not worth their freedom."""
     gain = 2.0 * (disturbed.log_likelihood - white.log_likelihood)
-    return bool(gain < CLEAR)
+    return bool(gain < TOLD_APART)

@@ -28,9 +28,8 @@ from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import ROUNDING
 
-# A residual this much smaller than the signal's own spread is numerically exact.
-EXACT = 1e-9
 # Lowest order of the differences in which white noise is looked for, and the share of one order's
 # level below which the next one's means that motion was seen, not noise.
 LOWEST_ORDER, STILL_FALLING = 3, 0.85
@@ -75,7 +74,7 @@ def white_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
             levels[column] = finer
     spread = signal_spread(dataset)
     known = np.isfinite(levels)
-    return np.where(known, np.maximum(levels, EXACT * spread), spread), seen & known
+    return np.where(known, np.maximum(levels, ROUNDING * spread), spread), seen & known
 
 
 def credible_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
@@ -259,11 +258,11 @@ BEYOND = 4.0
 RARE = 1e-3
 # Share of good samples among those left out where spikes are clear (Benjamini & Hochberg 1995).
 FALSE_SHARE = 0.1
-# Where residuals are structured, only what is this many deviations off stands out as a spike.
-STRUCTURED_SPIKE = 8.0
+# Robust deviations of a spike or step that is alone, or among structured residuals.
+SPIKE = 8.5
 # Spread of the departure of white noise from the median of its four neighbours, and of normal
 # numbers over the median of their sizes.
-BESIDE, NORMAL = 1.137, 1.4826
+BESIDE, NORMAL = 1.137, float(1.0 / ndtri(0.75))
 
 
 @dataclass(frozen=True, eq=False)
@@ -406,7 +405,7 @@ def _outliers(one: _Output, least: float, count: int, chance: float) -> list[np.
         off = [_off_cubic(values) for values in one.values]
         spread = max(robust_deviation(np.concatenate(off)), least)
         usual = max(usual, np.quantile(np.abs(np.concatenate(one.away)), 0.9) / ndtri(0.95))
-        limit = max(surely, STRUCTURED_SPIKE)
+        limit = max(surely, SPIKE)
         return [size > limit for size in one.sizes(off, usual, spread)]
     if not np.any(np.abs(one.every - one.middle) > surely * slow):
         return [np.zeros(len(values), dtype=bool) for values in off]

@@ -14,7 +14,7 @@ There every disturbance has variance zero. The likelihood has a slope ``s`` and 
 
 is what letting them in would gain in twice the log-likelihood (Silvapulle & Sen 2005,
 *Constrained statistical inference*, ch. 3). With three forces, five sensors and three times, white
-data stay below 6.8 in 95 and below 9.2 in 99 of 100 cases; above ``CLEAR`` disturbances are
+data stay below 6.8 in 95 and below 9.2 in 99 of 100 cases; above ``TOLD_APART`` disturbances are
 admitted and estimated with everything else, and stay only where that is likelier.
 
 Both come from one pass of the filter with all these variances at zero, where nothing is corrected:
@@ -35,6 +35,7 @@ import numpy as np
 
 from oed_sysid.compiled.filtering import FilterKernel, FilterPass, filter_kernel
 from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.data.record import MINIMUM_SAMPLES
 from oed_sysid.errors import SimulationError
 from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.disturbances import Place, disturbance
@@ -405,11 +406,6 @@ def moved(
 
 # Correlation times that are tried, in samples.
 TIMES = (5.0, 20.0, 60.0)
-# Gain in twice the log-likelihood from which disturbances count as real.
-CLEAR = 6.0
-# Samples from the start of each record that give the sizes of disturbances where the model on
-# its own diverges later.
-HEADS = (100, 30, 10)
 
 
 @dataclass(frozen=True, eq=False)
@@ -469,19 +465,21 @@ def score_test(setting: Setting, start: Start, *, times: Sequence[float] = ()) -
     if np.isfinite(best.gain):
         return best
     # The model on its own diverges: sizes from where it has not yet done so.
-    for length in HEADS:
+    length = max(record.n_samples for record in records) // 2
+    while length >= MINIMUM_SAMPLES:
         found = look(Dataset(tuple(_head(one, length) for one in records)), TIMES[0] * sample)
         if np.isfinite(found.gain):
             return replace(found, gain=np.inf)
+        length //= 2
     raise SimulationError(
-        f"Model {setting.model.name!r} diverges within {HEADS[-1]} samples of the start of a "
+        f"Model {setting.model.name!r} diverges within {MINIMUM_SAMPLES} samples of the start of a "
         "record. Check signs and units of its values, or bound its parameters."
     )
 
 
 def _head(record: Record, length: int) -> Record:
     """The first samples of a record."""
-    part = slice(0, max(length, 5))
+    part = slice(0, max(length, MINIMUM_SAMPLES))
     return replace(
         record, times=record.times[part], inputs=record.inputs[part], outputs=record.outputs[part]
     )

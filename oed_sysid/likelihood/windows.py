@@ -50,9 +50,6 @@ from oed_sysid.likelihood.gauss_newton import (
 from oed_sysid.likelihood.shooting import Follows, Point, Shooting
 from oed_sysid.likelihood.start_guess import VAGUE
 
-# What a start state of a window is known to before its samples where all of it is to be found, in
-# units of the state's scale.
-UNKNOWN = 30.0
 # What a start state weighs that stays at its guess.
 HELD = 1e20
 # Lengths, in samples, of the windows in the globalisation phase; beyond the
@@ -153,7 +150,7 @@ class Windows:
         Every transition from a sample to the next belongs to exactly one.
         """
         parts = [p for i, record in enumerate(shooting.records) for p in _cut(i, record, horizon)]
-        weight = (UNKNOWN * shooting.state_scale) ** -2.0
+        weight = (VAGUE * shooting.state_scale) ** -2.0
         weight[shooting.layout.n_own :] = HELD
         weights = np.tile(weight, (len(shooting.records), 1))
         return cls(shooting, parts, weights, unknowns, horizon)
