@@ -5,9 +5,8 @@ the on-line LS-SVM, as it would be on board: every 1.5 s one more row of
 Nomoto's difference equation, r(k+1) - r(k) = h/T (K delta - r), with rudder and
 rate averaged over the step. Two recursions of the same estimator run side by side:
 the published one, which carries an inverse, and the one of flat cost. They ought to
-agree at every sample; whether they do depends on the weight C. The plot of K and T
-with their bands grows as the samples come: tanker_on_line.png is written anew at
-most twice a second, and the GIF shows it all once more.
+agree at every sample; whether they do depends on the weight C. K and T with their
+95 % bands over the time of the samples are drawn in tanker_on_line.png.
 """
 
 import warnings
@@ -17,7 +16,7 @@ import numpy as np
 from oed_sysid import load_problem
 from oed_sysid.baselines.online import IncrementalLSSVM, RecursiveLSSVM
 from oed_sysid.errors import PrecisionWarning
-from oed_sysid.results import LiveParameters
+from oed_sysid.results import new_figure, plot_history, save_figure
 
 STEP, WEIGHT = 1.5, 1e8  # s; a large C: features and targets are small numbers
 AVERAGE = np.array([0.5, 1.0, 1.0, 0.5]) / 3  # over the four records' samples of a step
@@ -34,11 +33,6 @@ flat = RecursiveLSSVM(C=WEIGHT)
 for machine in (*published.values(), flat):
     machine.start(rows[:2], targets[:2])
 history = []
-live = LiveParameters(
-    ["K", "T"],
-    units={"K": "1/s", "T": "s"},
-    file="tanker_on_line.png",
-)
 for row, target in zip(rows[2:], targets[2:], strict=True):
     for machine in (*published.values(), flat):
         machine.update(row, target)
@@ -48,18 +42,21 @@ for row, target in zip(rows[2:], targets[2:], strict=True):
     variance = np.mean((targets[:seen] - flat.predict(rows[:seen])) ** 2)
     slopes = np.array([[by_rudder / by_rate, -1.0], [STEP / by_rate, 0.0]]) / by_rate
     stds = np.sqrt(variance * np.diag(slopes @ flat.inverse[:2, :2] @ slopes.T))
-    history.append((-by_rudder / by_rate, -STEP / by_rate, stds[1]))
-    live.update(
-        STEP * seen, dict(zip("KT", history[-1], strict=False)), dict(zip("KT", stds, strict=True))
-    )
-live.draw()
-live.animate("tanker_on_line.gif", frames=30)
+    history.append((-by_rudder / by_rate, -STEP / by_rate, *stds))
+
+figure, axes = new_figure(2, 1, size=(6.4, 4.4), sharex=True)
+times, values = STEP * np.arange(3, 3 + len(history)), np.array(history)
+for k, (name, unit) in enumerate((("K", "1/s"), ("T", "s"))):
+    ax = axes[k, 0]
+    plot_history(times, values[:, k], values[:, 2 + k], name=name, unit=unit, ax=ax)
+axes[1, 0].set_xlabel("time [s]")
+save_figure(figure, "tanker_on_line.png")
 
 print("samples   K [1/s]    T [s], 95 %")
 for count in (10, 20, 30, 50, 70, 100):
-    gain, time, spread = history[count - 3]
+    gain, time, _, spread = history[count - 3]
     print(f"{count:7d}   {gain:7.3f}   {time:5.1f} ± {1.96 * spread:.1f}")
-found = np.array([(gain, time) for gain, time, _ in history])
+found = values[:, :2]
 away = np.abs(found / found[-1] - 1).max(axis=1)
 settled = 3 + int(np.flatnonzero(away > 0.1)[-1]) + 1
 print()

@@ -17,7 +17,6 @@ from oed_sysid.baselines import MultipleShooting, OutputError
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.likelihood.multistart import Multistart, _goal, profile
 from oed_sysid.results import plot_waterfall
-from oed_sysid.results.estimator_plots import plateaus
 from oed_sysid.runtime.parallel import CellProgress
 
 TRUTH = 1.3
@@ -138,12 +137,6 @@ def test_starts_that_diverged_are_counted(best: Fit) -> None:
     assert "1 diverged" in ax.get_title(loc="left")
     assert np.isfinite(ax.get_ylim()).all()
     plt.close(ax.figure)
-
-
-def test_a_slope_is_no_plateau() -> None:
-    """Small steps that add up are told from one optimum found again."""
-    assert plateaus(0.015 * np.arange(4)) == [(0, 1), (2, 3)]
-    assert plateaus([0.0, np.inf, np.inf]) == [(0, 0)]
 
 
 def test_one_start_has_no_waterfall(best: Fit) -> None:

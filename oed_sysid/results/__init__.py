@@ -16,7 +16,6 @@ from oed_sysid.results.design_plots import (
     plot_tracks,
 )
 from oed_sysid.results.estimator_plots import (
-    LiveParameters,
     figure_benchmark,
     plot_history,
     plot_waterfall,

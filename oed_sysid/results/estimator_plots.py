@@ -11,14 +11,11 @@ plateau. Many on the lowest one: it is likely the global optimum. One alone: sea
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import groupby
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -31,7 +28,6 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multistart import SAME_OPTIMUM
 from oed_sysid.results import style as draw
 from oed_sysid.runtime.display import TWO_SIDED_95, interval
-from oed_sysid.runtime.files import whole_file
 
 
 def plot_history(
@@ -85,167 +81,8 @@ def plot_history(
     )
 
 
-class LiveParameters:
-    """A figure of parameters with bands that grows while estimates arrive.
-
-    It draws at most once per ``every`` seconds of wall-clock time, however often
-    :meth:`update` is called, so a loop on board is not held up. Without a screen
-    it writes ``file`` anew at every drawing; with one, give it a figure of pyplot
-    (``plt.ion(); figure=plt.figure()``), whose window it refreshes.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Parameters, one panel each.
-    units : mapping of str to str
-        Their units.
-    references : mapping of str to float
-        Known or published values, in black.
-    file : path, optional
-        Picture that is kept up to date (PNG, SVG or PDF by its name).
-    every : float
-        Least time between two drawings, s.
-    clock : callable
-        Wall-clock time, s.
-
-    Examples
-    --------
-    >>> live = LiveParameters(["K", "T"], units={"K": "1/s", "T": "s"})
-    >>> for k in range(1, 5):
-    ...     live.update(1.5 * k, {"K": 0.2, "T": 15.0}, {"K": 0.1 / k, "T": 8.0 / k})
-    >>> live.n_samples, live.figure.axes[1].get_ylabel()
-    (4, '$T$ [s]')
-    """
-
-    def __init__(
-        self,
-        names: Sequence[str],
-        *,
-        units: Mapping[str, str] | None = None,
-        references: Mapping[str, float] | None = None,
-        file: str | Path | None = None,
-        every: float = 0.5,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        if not names:
-            raise DataError("A live plot needs at least one parameter. Give names.")
-        if every < 0:
-            raise DataError(f"every is {every} s. Give 0 to draw at each update, or more.")
-        self.names = tuple(names)
-        self._units, self._references = dict(units or {}), dict(references or {})
-        self._file, self._every, self._clock = file, every, clock
-        # Time, values and standard errors of every update.
-        self._rows: list[tuple[float, list[float], list[float]]] = []
-        self._drawn_at = -np.inf
-        self.n_drawings = 0
-        size = (6.4, 0.8 + 1.8 * len(self.names))
-        self.figure, axes = draw.new_figure(len(self.names), 1, size=size, sharex=True)
-        self._axes: tuple[Axes, ...] = tuple(axes[:, 0])
-
-    @property
-    def n_samples(self) -> int:
-        """Updates so far."""
-        return len(self._rows)
-
-    def update(
-        self, t: float, values: Mapping[str, float], stds: Mapping[str, float] | None = None
-    ) -> None:
-        """Take the estimates of one instant, and draw if the last drawing is old enough.
-
-        Parameters
-        ----------
-        t : float
-            Time, s, later than before.
-        values, stds : mapping of str to float
-            Estimates and standard errors; what is not known is left out.
-        """
-        stds = stds or {}
-        if unknown := [name for name in (*values, *stds) if name not in self.names]:
-            raise DataError(
-                f"The live plot has no parameter {unknown[0]!r}, only {', '.join(self.names)}."
-            )
-        if self._rows and not t > (last := self._rows[-1][0]):
-            raise DataError(f"The estimates at t = {t:g} s are not later than those at {last:g} s.")
-        row, half = (
-            [float(one.get(name, np.nan)) for name in self.names] for one in (values, stds)
-        )
-        self._rows.append((float(t), row, half))
-        if self._clock() - self._drawn_at >= self._every:
-            self.draw()
-
-    def draw(self) -> None:
-        """Draw all that is known, write the file and refresh the window."""
-        self._draw_until(self.n_samples)
-        self._drawn_at = self._clock()
-        self.n_drawings += 1
-        if self._file is not None:
-            draw.save_figure(self.figure, self._file, dpi=110)
-        self.figure.canvas.draw_idle()
-        self.figure.canvas.flush_events()
-
-    def animate(self, path: str | Path, *, frames: int = 50, per_second: int = 10) -> None:
-        """Write what happened so far as an animated GIF.
-
-        Parameters
-        ----------
-        path : path
-            File to write.
-        frames : int
-            Pictures, evenly spread over the samples.
-        per_second : int
-            Pictures per second.
-        """
-        if not self.n_samples:
-            raise DataError("There is nothing to animate yet. Call update first.")
-        counts = np.unique(np.linspace(1, self.n_samples, frames).astype(int))
-        moving = FuncAnimation(
-            self.figure,
-            lambda count: self._draw_until(int(count)),
-            frames=counts.tolist(),
-            init_func=lambda: (),
-            blit=False,
-        )
-        with whole_file(path) as part:
-            moving.save(part, writer=PillowWriter(fps=per_second), dpi=80)
-
-    def _draw_until(self, count: int) -> tuple[Axes, ...]:
-        rows = self._rows[:count]
-        times = np.array([t for t, _, _ in rows])
-        for index, (name, ax) in enumerate(zip(self.names, self._axes, strict=True)):
-            ax.clear()
-            known = np.array([(row[index], half[index]) for _, row, half in rows]).reshape(-1, 2)
-            plot_history(
-                times, *known.T, name=name, ax=ax,
-                unit=self._units.get(name, ""), reference=self._references.get(name),
-            )  # fmt: skip
-        self._axes[-1].set_xlabel("time [s]")
-        draw.spread_legend(self._axes[0], ncols=3, loc="upper right", fontsize=8)
-        return self._axes
-
-
-def plateaus(objectives: Sequence[float] | np.ndarray) -> list[tuple[int, int]]:
-    """First and last position of starts that found the same optimum, in sorted objectives.
-
-    Examples
-    --------
-    >>> plateaus([0.0, 0.001, 0.01, 5.0, 9.0, 9.001])
-    [(0, 2), (3, 3), (4, 5)]
-    """
-    values = np.asarray(objectives, dtype=float)
-    found: list[tuple[int, int]] = []
-    for position, value in enumerate(values):
-        if not np.isfinite(value):
-            break
-        # Measured from the plateau's own floor: a slope is no plateau.
-        if found and value - values[found[-1][0]] < SAME_OPTIMUM:
-            found[-1] = (found[-1][0], position)
-        else:
-            found.append((position, position))
-    return found
-
-
 def plot_waterfall(result: Fit, ax: Axes | None = None) -> Axes:
-    """Sorted objectives of all starts above the best, plateaus marked.
+    """Sorted objectives of all starts above the best.
 
     Parameters
     ----------
@@ -269,24 +106,18 @@ def plot_waterfall(result: Fit, ax: Axes | None = None) -> Axes:
             f"The fit by {result.estimator!r} holds no starts. Make it with "
             "Multistart(estimator, n_starts=20).fit(model, dataset) of oed_sysid.likelihood."
         )
-    objectives, converged = attempts.objectives, attempts.converged
-    order = np.argsort(np.where(np.isfinite(objectives), objectives, np.inf), kind="stable")
-    objectives, converged = objectives[order], converged[order]
+    values = np.where(np.isfinite(attempts.objectives), attempts.objectives, np.inf)
     ax = draw.new_axes(ax)
-    finite = np.isfinite(objectives)
-    if not finite.any():
-        ax.set_title("no start led to a finite objective")
-        return draw.clean(ax)
-    above = objectives - objectives[0]
-    places = np.arange(1, len(above) + 1)
+    if not np.isfinite(values).any():
+        return draw.done(ax, title="no start led to a finite objective")
+    above = values - values.min()
+    order = np.argsort(above, kind="stable")
+    places, finite = np.argsort(order) + 1, np.isfinite(above)
     good, other = draw.model_style(1), draw.model_style(0)
-    groups = plateaus(above)
-    last = groups[0][1]
-    top = max(10.0 * SAME_OPTIMUM, float(above[finite].max()))
     ax.set_yscale("symlog", linthresh=SAME_OPTIMUM, linscale=0.4)
     ax.axhspan(-0.5 * SAME_OPTIMUM, SAME_OPTIMUM, color=good.colour, alpha=0.12, linewidth=0)
-    ax.plot(places[finite], above[finite], color=draw.NEUTRAL, linewidth=1.0, zorder=1)
-    lowest = finite & (places <= last + 1)
+    ax.plot(places[order], above[order], color=draw.NEUTRAL, linewidth=1.0, zorder=1)
+    lowest, converged = above < SAME_OPTIMUM, attempts.converged
     for chosen, marker, colour, fill, words in (
         (lowest & converged, "o", good.colour, good.colour, "the best optimum"),
         (finite & ~lowest & converged, "o", other.colour, "white", "other optima"),
@@ -295,20 +126,15 @@ def plot_waterfall(result: Fit, ax: Axes | None = None) -> Axes:
         if chosen.any():
             ax.plot(places[chosen], above[chosen], marker, ms=6, color=colour, mfc=fill,
                     label=words)  # fmt: skip
-    own = int(np.flatnonzero(order == 0)[0])
-    if finite[own]:
-        ax.plot(places[own], above[own], "o", ms=12, mfc="none", color=draw.TRUTH,
+    if finite[0]:
+        ax.plot(places[0], above[0], "o", ms=12, mfc="none", color=draw.TRUTH,
                 label="the model's own values")  # fmt: skip
-    for first, end in [g for g in groups[1:] if g[1] > g[0]]:
-        ax.annotate(
-            f"{end - first + 1} starts", (0.5 * (places[first] + places[end]), above[first]),
-            xytext=(0, 7), textcoords="offset points", ha="center", fontsize=9, color="0.25",
-        )  # fmt: skip
     lost = int((~finite).sum())
-    title = f"{last + 1} of {len(above)} starts found the best optimum"
+    title = f"{attempts.arrived} of {len(above)} starts found the best optimum"
     title += f"; {lost} diverged" if lost else ""
     ax.set_title(title, loc="left")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    top = max(10.0 * SAME_OPTIMUM, float(above[finite].max()))
     return draw.done(
         ax, f"{title}.", legend={"loc": "best"}, xlabel="start, sorted",
         ylabel="objective above the best, $-2\\,\\Delta\\log L$ [-]",
