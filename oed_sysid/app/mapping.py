@@ -6,8 +6,6 @@ reads; files of one layout are read with one mapping, whatever they are called.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import re
 import tempfile
@@ -41,6 +39,7 @@ from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.evidence.check import rank_axes
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.physics.channels import Channels, Input, Output
+from oed_sysid.text.csv_table import read_table
 from oed_sysid.text.units import parse_header, shown_unit, to_si
 
 # Endings of the logs that are read.
@@ -74,11 +73,13 @@ def open_files(files: Mapping[str, bytes], time: tuple[str, str] | None = None) 
     >>> opened.logs["run.csv"].names, opened.logs["run.csv"].span
     (('run.yaw [deg]',), (0.0, 0.5))
     """
-    given = {
-        name: renamed(content, *time) if time and is_table(name) else content
-        for name, content in files.items()
-    }
-    return Opened(*read_each(given, open_log))
+    header, unit = time or ("", "")
+
+    def opened(path: Path) -> Log:
+        log = open_log(path, time=header)
+        return log.timed(unit=unit) if header == log.clock else log
+
+    return Opened(*read_each(files, opened))
 
 
 Read = TypeVar("Read")
@@ -105,37 +106,15 @@ def is_table(name: str) -> bool:
     return Path(name).suffix.lower() in (".csv", ".tsv", ".txt")
 
 
-def headers(content: bytes) -> list[str]:
-    r"""Headers of a table in text; the first line that is no comment.
+def headers(files: Mapping[str, bytes]) -> tuple[str, ...]:
+    r"""Headers of the first table in text.
 
-    >>> headers(b"# log of May\nclock;yaw [deg]\n0;1\n")
-    ['clock', 'yaw [deg]']
+    >>> headers({"may.csv": b"# log of May\nclock;yaw [deg]\n0;1\n"})
+    ('clock', 'yaw [deg]')
     """
-    return _header(content.decode("utf-8-sig", errors="replace"))[2]
-
-
-def renamed(content: bytes, header: str, unit: str) -> bytes:
-    r"""A table whose column of time is called ``t``.
-
-    >>> renamed(b"clock,yaw\n0,1\n", "clock", "ms")
-    b't [ms],yaw\n0,1\n'
-    """
-    text = content.decode("utf-8-sig", errors="replace")
-    line, mark, names = _header(text)
-    if header not in names:
-        return content
-    made = io.StringIO()
-    row = [f"t [{unit}]" if one == header else one for one in names]
-    csv.writer(made, delimiter=mark, lineterminator="").writerow(row)
-    return text.replace(line, made.getvalue(), 1).encode()
-
-
-def _header(text: str) -> tuple[str, str, list[str]]:
-    """The line of headers, what stands between them, and they."""
-    lines = (one for one in text.splitlines() if one.strip() and not one.lstrip().startswith("#"))
-    line = next(lines, "")
-    mark = max(";\t,", key=line.count)
-    return line, mark, [one.strip() for one in next(csv.reader([line], delimiter=mark), [])]
+    tables = {name: content for name, content in files.items() if is_table(name)}
+    found, _ = read_each(tables, lambda path: read_table(path, columns_of_text=True).headers)
+    return next(iter(found.values()), ())
 
 
 def first_guess(log: Log, channels: Channels, found: Recognised | None = None) -> dict[str, Source]:
@@ -582,11 +561,10 @@ def _ask_cuts(source: str, problem: Problem, log: Log) -> None:
 
 def _ask_time(source: str, files: Mapping[str, bytes]) -> None:
     """Ask which column is the time, where none is called so."""
-    name = next((one for one in files if is_table(one)), None)
-    if name is not None:
+    if names := headers(files):
         left, right, _ = st.columns([2, 1, 1])
         left.selectbox(
-            "Column of time", headers(files[name]), index=None,
+            "Column of time", names, index=None,
             key=visit.kept("map", source, "time"),
             placeholder="No column is called t or time: choose one",
         )  # fmt: skip

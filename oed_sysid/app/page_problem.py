@@ -17,7 +17,7 @@ from oed_sysid.app.mapping import NothingMappedError, headers, plain_name
 from oed_sysid.app.panels import message, part, tabs
 from oed_sysid.app.trust import NotTrustedError, code_of
 from oed_sysid.cli.study import DEFAULT_MODEL
-from oed_sysid.data.csv_columns import TIME_NAMES
+from oed_sysid.data.frames import is_time
 from oed_sysid.errors import OedSysidError, ProblemError
 from oed_sysid.experiments.problem import Problem, list_problems, load_problem, new_problem
 from oed_sysid.experiments.starter import TEMPLATES
@@ -111,8 +111,8 @@ def _new_vehicle() -> None:
         words = "Log of any format; what its columns are is told by their numbers"
         file = st.file_uploader(words, type=list(mapping.ENDINGS), key="new:log")
         if file is not None and mapping.is_table(file.name):
-            names = [parse_header(h)[0] for h in headers(file.getvalue())]
-            names = [one for one in names if one.lower() not in TIME_NAMES]
+            columns = (h for h in headers({file.name: file.getvalue()}) if not is_time(h))
+            names = [parse_header(column)[0] for column in columns]
             st.multiselect(
                 "Commands", names, key="new:commands",
                 help="Columns that are commands; empty lets their names decide.",

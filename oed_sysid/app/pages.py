@@ -34,7 +34,6 @@ from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.text.units import shown_unit
 
 if TYPE_CHECKING:
-    from oed_sysid.evidence.compare import Comparison
     from oed_sysid.evidence.improvement import Improvement
 
 _RECORDS = "Training records"
@@ -162,13 +161,8 @@ def _step_back(study: Study, found: Improvement) -> None:
         st.caption("Without an effect this is the nominal model.")
         return
     st.caption("Side by side: nominal; " + "; ".join(groups))
-    outcome = result_of(
-        study, "compare", {"added": groups}, "Fit with these", file="kept",
-        title=f"Improve: with {'; '.join(groups)}",
-    )  # fmt: skip
-    if outcome is not None:
-        st.dataframe(side_by_side(outcome.result), hide_index=True)
-        st.caption("Root mean square errors on the validation records, each in its unit.")
+    title = f"Improve: with {'; '.join(groups)}"
+    result_of(study, "compare", {"added": groups}, "Fit with these", file="kept", title=title)
 
 
 def _chosen_groups(study: Study, found: Improvement) -> tuple[str, ...]:
@@ -191,19 +185,6 @@ def _chosen_groups(study: Study, found: Improvement) -> tuple[str, ...]:
         state[beside] = held[:-1]
         st.rerun()
     return (*held, *([now] if is_new else []))
-
-
-def side_by_side(found: Comparison) -> list[dict[str, str]]:
-    """Errors on the validation records, one row per model, angles in degrees."""
-    rows = []
-    for part in found.models:
-        row = {"model": part.label, "error": f"{part.relative:.3g} × noise"}
-        for output in found.dataset.channels.outputs:
-            turn, unit = shown_unit(output.unit)
-            if np.isfinite(error := part.prediction.rms[output.name]):
-                row[f"{output.name} [{unit or '-'}]"] = f"{turn * error:.3g}"
-        rows.append(row)
-    return rows
 
 
 # -- plan --------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import re
 from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from importlib.util import find_spec
 from itertools import zip_longest
 from pathlib import Path
@@ -35,8 +36,8 @@ from oed_sysid.text.units import is_unit, parse_header, to_si
 # -- tables with a header --------------------------------------------------------------
 
 
-def read_csv_log(path: Path) -> Log:
-    """Read a CSV file as a log of one topic, named after the file."""
+def read_csv_log(path: Path, time: str = "") -> Log:
+    """Read a CSV file as a log of one topic, named after the file; ``time`` is its column of it."""
     table = read_table(path, columns_of_text=True)
     columns = dict(zip(table.headers, table.values.T, strict=True))
     for i, first in table.stamps.items():
@@ -48,6 +49,7 @@ def read_csv_log(path: Path) -> Log:
         del columns[header]
     stamps = [table.headers[i] for i in table.stamps]
     clock = next(filter(is_time, columns), next(iter(stamps), None)) or clock_of(columns)
+    clock = time if time in columns else clock
     if clock is None and (called := next(filter(is_time, faults), None)) is not None:
         raise DataError(faults[called])
     return _log(path, "CSV file", {path.stem: columns}, clock, stamps)
@@ -552,13 +554,15 @@ def serve(place: str, target: str) -> None:
     apart.serve(read, Path(place), Path(target))
 
 
-def open_log(path: str | Path) -> Log:
+def open_log(path: str | Path, *, time: str = "") -> Log:
     r"""Open a log of any format that is known.
 
     Parameters
     ----------
     path : str or Path
         The file; of a ROS 2 bag, the folder.
+    time : str
+        Header of the column of time of a CSV file that does not call it so.
 
     Returns
     -------
@@ -582,7 +586,10 @@ def open_log(path: str | Path) -> Log:
     CSV file ('run.psi [deg]',) 2.0
     """
     place = Path(path).expanduser()
-    return format_of(place).read(place)
+    form = format_of(place)
+    if form.reader is read_csv_log:
+        form = form._replace(reader=partial(read_csv_log, time=time))
+    return form.read(place)
 
 
 def _start(place: Path) -> bytes:
