@@ -33,7 +33,7 @@ from typing import TypeVar
 import numpy as np
 
 from oed_sysid.design.vehicles import LimitBounds, kept_on, units_of
-from oed_sysid.design.waveforms import Grid, trim_within
+from oed_sysid.design.waveforms import SIZES, Grid, trim_within
 from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.manoeuvres import Piecewise, ZigZag, schroeder_phases
@@ -50,20 +50,9 @@ CLOSED = frozenset({"zigzag", "zigzag ahead"})
 ATTITUDES = ("psi", "theta", "phi")
 _RATES = {"psi": "r", "theta": "q", "phi": "p"}
 _KEPT = {"theta": "z"}
-# Sizes tried until the limits hold, as shares of the range (the largest that does and a gentler
-# one are candidates).
-SHARES = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05)
-# The gentler one, as a share of the largest.
+# Beside the largest run of a kind that keeps the limits, one of this share of its size.
 _GENTLER = 0.4
-# Of the angles of a standard zigzag, largest first.
-_STANDARD_SHARES = (1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1)
 ZIGZAGS = (5.0, 10.0, 20.0)  # degrees, both of the control and of the attitude
-# Attitudes of quick zigzags, as shares of the control's angle: a large control within narrow
-# limits, on vehicles that answer it by more than the nominal one does.
-_QUICK = (0.5, 0.25)
-# Zigzags that look ahead: control as a share of its range, switch as one of the room, lead as one
-# of the time that half of the room takes.
-_HALVES, _SWITCHES = (1.0, 0.5), (1.1, 0.8, 0.6, 0.4, 0.25)
 _PACES = (0.25, 0.6)  # of quick and slow variants, relative to a tenth of the run
 
 
@@ -124,7 +113,7 @@ def standard_manoeuvres(bench: Bench) -> list[Standard]:
 
     found = []
     for title, angle in sizes if bench.attitude else [("square wave", 1.0)]:
-        runs = ((share, made(title, share * angle)) for share in _STANDARD_SHARES)
+        runs = ((share, made(title, share * angle)) for share in SIZES)
         for share, run, _ in bench.keeping(runs):
             note = "" if share == 1.0 else f"at {share:.0%} of its angles to keep the limits"
             found.append((title, run, note))
@@ -480,7 +469,7 @@ class Bench:
 
     def sized(self, name: str, wave: np.ndarray) -> Iterable[tuple[Experiment, float]]:
         """Return the largest size that keeps the limits, then a gentler one."""
-        runs = ((size, self.table(name, size, wave)) for size in SHARES)
+        runs = ((size, self.table(name, size, wave)) for size in SIZES)
         for size, run, share in self.keeping(runs if wave.any() else islice(runs, 1)):
             yield run, share
             if wave.any():
@@ -501,8 +490,9 @@ class Bench:
         Of equal angles, made smaller together until the limits hold, and quick ones, which turn
         before the attitude has reached the control's angle.
         """
-        equal = [(share, share) for share in SHARES[:4]]
-        quick = [(1.0, share) for share in _QUICK]
+        equal = [(share, share) for share in SIZES[:5]]
+        # A large control within narrow limits, on vehicles that answer it by more than this one.
+        quick = [(1.0, SIZES[2]), (1.0, SIZES[4])]
         families = [(angle, equal) for angle in ZIGZAGS] + [(a, quick) for a in ZIGZAGS[1:]]
         seen: set[str] = set()
         for angle, shares in families:
@@ -516,7 +506,7 @@ class Bench:
     ) -> Iterable[tuple[str, float, float]]:
         """Name, control and attitude of zigzags, shares of an angle in degrees, within reach."""
         for control, turn in shares:
-            size, switch = round(control * angle, 3), round(turn * angle, 3)
+            size, switch = (float(f"{share * angle:.2g}") for share in (control, turn))
             if self.attitude and radians(size) <= self.reach:
                 yield f"zigzag {size:g}/{switch:g}", radians(size), radians(switch)
 
@@ -532,14 +522,15 @@ class Bench:
         keeper = _KEPT.get(self.attitude, "")
         depth = self.room(keeper)
         kept = (keeper,) if np.isfinite(depth) else ()
-        for control, share in product(_HALVES, _HALVES):
+        # Shares of the control's range, and of the time that half of the room takes.
+        for control, share in product((SIZES[0], SIZES[2]), repeat=2):
             size, lead = control * self.reach, float(f"{share * time:.2g}")
             runs = (
                 (switch, self.zigzag(
                     f"zigzag {degrees(size):.3g}/{degrees(switch):.3g} {lead:g} s ahead",
                     size, switch, (rate, *kept), lead=lead, keep_gain=switch / depth,
                 ))
-                for switch in (part * room for part in _SWITCHES)
+                for switch in (part * room for part in SIZES[:5])
             )  # fmt: skip
             yield from ((run, share) for _, run, share in self.keeping(runs, 2))
 

@@ -31,11 +31,8 @@ import numpy as np
 from scipy.optimize import linprog
 
 from oed_sysid.design.objective import Objective, Score, Slope
-from oed_sysid.design.waveforms import Grid, Shape
+from oed_sysid.design.waveforms import SIZES, Grid, Shape
 from oed_sysid.runtime.journal import Journal
-
-# Amplitudes tried, as shares of the actuator range, until the limits are kept.
-_SHARES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.1, 0.05, 0.02)
 
 
 def rough_commands(grid: Grid, rng: np.random.Generator) -> np.ndarray:
@@ -139,7 +136,7 @@ def _largest(
         score = objective.score(numbers, with_scenarios=with_scenarios)
         return [score] if np.isfinite(score.value) else []
     last: list[Score] = []
-    for share in _SHARES:
+    for share in SIZES:
         score = objective.score(still + share * (numbers - still), with_scenarios=with_scenarios)
         if score.feasible:
             return [score]

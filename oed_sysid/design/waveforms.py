@@ -29,6 +29,9 @@ import numpy as np
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Limits
 
+# Sizes tried until limits hold, largest first: each 3 dB below the one before, down to 2 %.
+SIZES = tuple(2.0 ** (-step / 2) for step in range(12))
+
 
 @dataclass(frozen=True, eq=False)
 class Grid:
