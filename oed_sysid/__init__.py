@@ -46,7 +46,7 @@ _NAMES = {
         "AOptimal DOptimal DsOptimal EOptimal GOptimal VOptimal Discriminate Robust "
         "design_experiment"
     ),
-    "evidence.check": "check quick_check",
+    "evidence.check": "check",
     "evidence.compare": "compare diagnose",
     "evidence.improve": "improve",
     "evidence.usual": "usual_effects",
@@ -82,7 +82,7 @@ if TYPE_CHECKING:
         design_experiment,
     )
     from oed_sysid.errors import OedSysidError
-    from oed_sysid.evidence.check import check, quick_check  # type: ignore[no-redef]
+    from oed_sysid.evidence.check import check  # type: ignore[no-redef]
     from oed_sysid.evidence.compare import compare, diagnose
     from oed_sysid.evidence.improve import improve
     from oed_sysid.evidence.usual import usual_effects

@@ -14,7 +14,7 @@ from benchmarks.truth import gauss_markov
 from oed_sysid.cli import main
 from oed_sysid.data.dataset import Dataset, read_csv, write_csv
 from oed_sysid.errors import ModelError
-from oed_sysid.evidence.check import LogCheck, check, corrected_copies, quick_check, why_not_more
+from oed_sysid.evidence.check import LogCheck, check, corrected_copies, why_not_more
 from oed_sysid.evidence.contrasts import UNEXPLAINED, unexplained
 from oed_sysid.evidence.relations import relations
 from oed_sysid.evidence.screens import bursts, jitter, screen, screened, steps
@@ -287,7 +287,7 @@ def test_a_jump_is_the_only_finding_and_is_undone(
     clean = check(data, model, inputs=False)
     for before, after in zip(clean.balances, found.balances, strict=True):
         assert after.after == pytest.approx(before.after, abs=0.02)
-    assert quick_check(spoilt, model).named("step", signal) is not None
+    assert check(spoilt, model).named("step", signal) is not None
     stored = json.loads(json.dumps(found.to_dict()))["findings"][0]["correction"]
     assert stored["rows"] == {data[1].name: [400]}
     assert stored["sizes"][data[1].name] == [one.size]

@@ -10,7 +10,7 @@ import pytest
 from bs4 import BeautifulSoup
 from starter import improved, starter
 
-from oed_sysid import MultipleShooting, OedSysidError, compare, quick_check
+from oed_sysid import MultipleShooting, OedSysidError, check, compare
 from oed_sysid.design import Search, Trial, design_experiment
 from oed_sysid.results.page import notebook as html
 
@@ -34,7 +34,7 @@ def _story() -> dict[str, object]:
         "comparison": compare(fit, test),
         "improvement": improved(),
         "design": design,
-        "check": quick_check(train, problem.model),
+        "check": check(train, problem.model),
     }
 
 

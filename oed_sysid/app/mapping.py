@@ -36,7 +36,6 @@ from oed_sysid.data.mapping import CommandCuts, Cut, parse
 from oed_sysid.data.recognise import TIMES, role_of, source_of
 from oed_sysid.data.record import clear_wraps
 from oed_sysid.errors import DataError, OedSysidError
-from oed_sysid.evidence.check import rank_axes
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.text.csv_table import read_table
@@ -516,28 +515,6 @@ def _say_guesses(source: str, log: Log) -> None:
         if told.doubts:
             st.warning(f"Please confirm: the clock counts in {told.time_unit}.")
         st.dataframe(rows, hide_index=True)
-
-
-@st.cache_resource(show_spinner="Ranking signs and axes", max_entries=10)
-def _ranked(contents: tuple[str, ...], source: str, _records: Dataset, _problem: Problem) -> Any:
-    """Signs and axes that these records may have."""
-    return rank_axes(_records, _problem)
-
-
-def show_axes(records: Dataset, problem: Problem, source: str) -> None:
-    """Show how likely other signs and axes are than those that were read."""
-    ranked = _ranked(tuple(one.content_hash for one in records), source, records, problem)
-    if not ranked:
-        return
-    best = ranked[0]
-    words = f"Signs and axes, ranked by the log check: likeliest {best.says}"
-    with st.expander(words, expanded=best.statistic > 0.0):
-        rows = [{"read as": o.says, "2ΔlnL": f"{o.statistic:,.0f}"} for o in ranked]
-        st.dataframe(rows, hide_index=True)
-        st.caption(
-            "The likelihood-ratio statistic of the equations between the signals, against the log "
-            "as it is read above. What is as likely as the first cannot be told from it."
-        )
 
 
 def _ask_cuts(source: str, problem: Problem, log: Log) -> None:

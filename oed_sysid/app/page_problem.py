@@ -200,11 +200,7 @@ def _records(problem: Problem, source: str, variant: str) -> None:
         st.info("  \n".join(stock.notes))
     if stock.records is not None:
         _share_out(stock, source, variant, origin)
-        above = st.container()
         look_at(stock.records, f"{source}:{origin}")
-        if origin == choices.MAPPED:  # it takes a moment, the records are drawn before
-            with above:
-                mapping.show_axes(stock.records, problem, source)
 
 
 def _share_out(stock: mapping.Stock, source: str, variant: str, origin: str) -> None:

@@ -24,7 +24,6 @@ from oed_sysid.runtime.files import check_place, write_text
 
 if TYPE_CHECKING:
     from oed_sysid.baselines.fourier import FourierStream
-    from oed_sysid.data.dataset import Dataset
     from oed_sysid.data.logs import Log, LogMapping
     from oed_sysid.experiments.experiment import Experiment
     from oed_sysid.experiments.problem import Problem
@@ -204,7 +203,8 @@ def _told(
     from oed_sysid.data.recognise import called
 
     told = recognise(found)
-    channels = None if problem is None else problem.channels
+    model = None if problem is None else problem.model
+    channels = None if model is None else model.channels
     told = told if channels is None else called(told, channels, found)
     made = draft(found, channels, problem=named, found=told)
     if made is None and out is None:
@@ -225,22 +225,13 @@ def _told(
     if lost:
         say(f"Please add to the mapping, with field or constant: {', '.join(lost)}.")
     if out is None:
-        axes = _axes(oed_sysid.import_log(found, made, channels).dataset, problem)
+        checked = oed_sysid.check(oed_sysid.import_log(found, made, channels).dataset, model)
+        say(checked.report())
         say(f"Next: oed-sysid import {shlex.quote(str(log))} --out data   (and the mapping there)")
-        store({"log": str(log), "kind": found.kind, **told.to_dict(), "axes": axes})
+        store(
+            {"log": str(log), "kind": found.kind, **told.to_dict()} | {"check": checked.to_dict()}
+        )
     return made
-
-
-def _axes(dataset: Dataset, problem: Problem | None) -> list[dict[str, Any]]:
-    """Say how likely other signs and axes are than those that were read; the same as plain data."""
-    from oed_sysid.evidence.check import rank_axes
-
-    ranked = rank_axes(dataset, problem)
-    if ranked:
-        rows = [(f"{one.statistic:.0f}", one.says) for one in ranked if one.statistic >= 0.0]
-        say("Signs and axes that the log check finds as likely as those read, or more (2ΔlnL):")
-        say("\n".join(Table(("2ΔlnL", "read as"), rows, words=(1,)).lines()))
-    return [one.to_dict() for one in ranked]
 
 
 def _import(
@@ -250,8 +241,6 @@ def _import(
     out: Path,
 ) -> None:
     """Write a CSV file for every record of a log, and say what its check found."""
-    from oed_sysid.evidence.check import signal_check
-
     result = oed_sysid.import_log(log, mapping, None if problem is None else problem.channels)
     dataset = result.dataset
     if out.suffix.lower() == ".csv":
@@ -260,17 +249,15 @@ def _import(
     mapping.write(out / "mapping.toml")
     for line in result.notes:
         note(line)
-    own = None if problem is None else problem.model
-    checked = signal_check(dataset) if own is None else oed_sysid.quick_check(dataset, own)
+    checked = oed_sysid.check(dataset, None if problem is None else problem.model)
     answer(f"{counted(len(files), 'record')} written to {out}. {checked.verdict}")
     for file, record in zip(files, dataset, strict=True):
         rate = record.n_samples / max(record.duration, 1e-9)
         say(f"{file}: {record.duration:.1f} s, {record.n_samples} rows ({rate:.3g} per second)")
-    axes = _axes(dataset, problem)
     say(checked.report())
     draw(Figure("figure_record", dataset.records[0], ""), asked("picture"))
     facts = {"log": str(log.path), "files": list(map(str, files)), "notes": list(result.notes)}
-    store({**facts, "axes": axes, "check": checked.to_dict()}, records=[dataset])
+    store({**facts, "check": checked.to_dict()}, records=[dataset])
     if checked.suspect:
         raise typer.Exit(SUSPECT)
 

@@ -265,7 +265,7 @@ def fit(study: Study, show: Shown) -> Outcome:
     model, train = study.problem.model, study.training()
     if study.test is not None:
         check_disjoint(train, study.test)
-    log = oed_sysid.quick_check(train, study.problem)
+    log = oed_sysid.check(train, study.problem)
     study, left_out = _as_measured(study, log)
     result = fits_of(study, {"": model}, show)[""]
     before, log = log, with_estimates(log, result)
@@ -343,7 +343,7 @@ def _log_of(study: Study) -> LogCheck:
 
     train, validation = study.training(), study.validation()
     check_disjoint(train, validation)
-    return oed_sysid.quick_check(together(train, validation), study.problem).without("duplicate")
+    return oed_sysid.check(together(train, validation), study.problem).without("duplicate")
 
 
 def reduce(study: Study, show: Shown, *, keep: tuple[str, ...] = ()) -> Outcome:
@@ -426,7 +426,7 @@ def diagnose(study: Study, show: Shown) -> Outcome:
     [bold]Example[/bold]: oed-sysid diagnose remus_diving_plane dive_1.csv dive_2.csv
     """
     problem, train = study.problem, study.training()
-    log = oed_sysid.quick_check(train, problem)
+    log = oed_sysid.check(train, problem)
     show.say("looking where the model fails, and scoring all candidates")
     result = oed_sysid.diagnose(
         problem.model, train, candidates=_candidates(problem, show), known_noise=study.known_noise,

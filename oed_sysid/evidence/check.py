@@ -30,8 +30,8 @@ The equations come from the model's own text, or follow from standard names of s
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import chain, product
+from dataclasses import replace
+from itertools import product
 from time import perf_counter
 
 import numpy as np
@@ -41,7 +41,7 @@ from oed_sysid.evidence import contrasts, words
 from oed_sysid.evidence.contrasts import Found, Piece, Question, Result
 from oed_sysid.evidence.corrections import corrected_copies, why_not_more
 from oed_sysid.evidence.inputs import between_runs, input_findings, scaled_inputs
-from oed_sysid.evidence.readings import Evidence, diagnosed, thinned
+from oed_sysid.evidence.readings import Evidence, diagnosed
 from oed_sysid.evidence.relations import (
     Relation,
     names_of,
@@ -67,7 +67,6 @@ from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.likelihood.whole_runs import whole_runs
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import as_dict
 from oed_sysid.text.expressions import names as names_in
 
 __all__ = [
@@ -76,26 +75,25 @@ __all__ = [
     "Finding",
     "Judged",
     "LogCheck",
-    "RankedAxes",
     "check",
     "corrected_copies",
-    "quick_check",
-    "rank_axes",
-    "signal_check",
     "why_not_more",
 ]
 
 
-def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) -> LogCheck:
+def check(
+    dataset: Dataset, problem: Problem | Model | None = None, *, inputs: bool = True
+) -> LogCheck:
     """Check records for faults of the log, before any model of forces.
 
     Parameters
     ----------
     dataset : Dataset
         The records; several with different speeds and turns tell more.
-    problem : Problem or Model
+    problem : Problem or Model, optional
         What the signals are: kinematics and outputs without unknown parameters are used. Signals
-        with standard names (SNAME) are also held against the kinematics of a rigid body.
+        with standard names (SNAME) are also held against the kinematics of a rigid body, without a
+        problem against these alone.
     inputs : bool
         Whether the inputs are judged against the nominal model, its priors and limits.
 
@@ -126,7 +124,8 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     """
     began = perf_counter()
     model = problem.model if isinstance(problem, Problem) else problem
-    check_channels(model, dataset)
+    if model is not None:
+        check_channels(model, dataset)
     traces = [Trace.of(r, spare_signals(r)) for r in dataset]
     equations = _equations(dataset, model, traces)
     faults, traces = screened(traces)
@@ -141,9 +140,10 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
         *related,
         *words.jitter_finding(late, dataset),
     ]
-    asked, unchecked = _asked(model, traces, equations, ended), _shared(equations, traces)
-    asked += words.jitter_rows(late, model.output_names)
-    if inputs:
+    names = dataset.channels.output_names
+    asked, unchecked = _asked(names, traces, equations, ended), _shared(equations, traces)
+    asked += words.jitter_rows(late, names)
+    if inputs and model is not None:
         known = [f.correction for f in findings if f.correction is not None]
         ranges = problem.limits.inputs if isinstance(problem, Problem) else None
         judged, of_inputs, reason = input_findings(dataset, model, known, ranges)
@@ -166,90 +166,6 @@ def _clean(traces: Sequence[Trace], faults: Sequence[Fault]) -> list[Trace]:
     return [trace.blank(marked(faults, trace.name, bad)) for trace in traces]
 
 
-@dataclass(frozen=True)
-class RankedAxes:
-    """One way to read signs and axes of a log.
-
-    Parameters
-    ----------
-    says : str
-        What would be otherwise than it was read.
-    statistic : float
-        Likelihood-ratio statistic (twice the logarithm of the likelihood ratio) of the equations
-        between the signals, against the log as it was read.
-
-    Examples
-    --------
-    As :func:`rank_axes` returns them.
-
-    >>> RankedAxes("r with the other sign", 812.4).to_dict()
-    {'says': 'r with the other sign', 'statistic': 812.4}
-    """
-
-    says: str
-    statistic: float
-
-    to_dict = as_dict("says", "statistic")
-
-
-# What is ranked: signs, columns of one quantity, axes that are turned, directions counted from.
-_OF_AXES = ("sign", "swap", "frame", "offset", "misalignment")
-
-
-def rank_axes(dataset: Dataset, problem: Problem | Model | None = None) -> tuple[RankedAxes, ...]:
-    """Rank the signs and axes that a log may have, by how well its signals then agree.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        Records as they were read.
-    problem : Problem or Model, optional
-        What the signals are; by default standard names (SNAME) and the kinematics of a rigid body
-        tell.
-
-    Returns
-    -------
-    tuple of RankedAxes
-        The likeliest first, the log as it was read among them with 0. What lies as high as the
-        first cannot be told from it by these signals. Empty where no equation relates them.
-
-    Examples
-    --------
-    A yaw rate whose axis points the other way:
-
-    >>> from oed_sysid import Channels, Output, Record
-    >>> rng, t = np.random.default_rng(0), np.arange(400) * 0.2
-    >>> rows = np.column_stack([0.5 * np.sin(0.2 * t), -0.1 * np.cos(0.2 * t)])
-    >>> channels = Channels((), (Output("psi", "rad"), Output("r", "rad/s")))
-    >>> noisy = rows + 0.002 * rng.standard_normal(rows.shape)
-    >>> for one in rank_axes(Dataset((Record("a", t, [], noisy, channels),))):
-    ...     print(f"{one.statistic:6.0f}  {one.says}")
-       717  psi with the other sign
-       717  r with the other sign
-         0  as read
-    """
-    model = problem.model if isinstance(problem, Problem) else problem
-    traces = [Trace.of(record, {}) for record in dataset]
-    equations = (
-        tuple(standard(dataset.channels.outputs))
-        if model is None
-        else _equations(dataset, model, traces)
-    )
-    faults, traces = screened(traces)
-    question = Question(_told_of(equations, faults), ())
-    if not question.relations:
-        return ()
-    clean, units = _clean(traces, faults), units_of(traces)
-    ways = contrasts.readings(clean, question.relations)
-    turned = contrasts.turned_axes(names_of(question.relations), units)
-    evidence = Evidence(question, thinned(clean))
-    found = {"as read": 0.0}
-    for one in chain(ways, turned):
-        if one.correction.kind in _OF_AXES and len({units[n] for n in one.correction.signals}) == 1:
-            found[words.rival(one)] = evidence.gained([one.correction])
-    return tuple(RankedAxes(*one) for one in sorted(found.items(), key=lambda one: -one[1]))
-
-
 def _answered(asked: Sequence[Judged], findings: Sequence[Finding]) -> tuple[Judged, ...]:
     """What was asked, with what was found."""
     found = {(f.kind, n) for f in findings for n in f.signals}
@@ -266,8 +182,8 @@ def _told_of(equations: tuple[Relation, ...], faults: Sequence[Fault]) -> tuple[
 
 
 def _related(
-    dataset: Dataset, model: Model, clean: Sequence[Trace], equations: tuple[Relation, ...],
-    faults: Sequence[Fault],
+    dataset: Dataset, model: Model | None, clean: Sequence[Trace],
+    equations: tuple[Relation, ...], faults: Sequence[Fault],
 ) -> tuple[list[Fault], list[Finding], tuple[Balance, ...], Result]:  # fmt: skip
     """Steps with the sizes that equations give, what these find, how well they hold, the search."""
     steps = {one: _steps(one, clean, equations) for one in faults if one.kind == "step"}
@@ -276,7 +192,8 @@ def _related(
     sized = {one.correction.key: one for one in ended.found}
     mended = contrasts.mended(clean, (*found, *ended.found), equations)
     ends = {trace.name: trace.ends for trace in clean}
-    log = words.Log(dataset.channels, equations, dataset.names, ends, _sensed(model.effects))
+    effects = () if model is None else model.effects
+    log = words.Log(dataset.channels, equations, dataset.names, ends, _sensed(effects))
     findings = [*map(log.reading, found)]
     findings += map(log.sized, (one for key, one in sized.items() if key not in known))
     findings += words.clock_findings(mended, equations)
@@ -316,57 +233,6 @@ def _resized(
     if not own:
         return replace(fault, kind="caught up")
     return replace(fault, sizes=own, amount=max(own, key=abs))
-
-
-def quick_check(dataset: Dataset, model: Problem | Model) -> LogCheck:
-    """Check records before every fit: :func:`check` under its name of old.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        The records.
-    model : Problem or Model
-        What the signals are.
-
-    Returns
-    -------
-    LogCheck
-        As of :func:`check`.
-
-    Examples
-    --------
-    See :func:`check`.
-    """
-    return check(dataset, model)
-
-
-def signal_check(dataset: Dataset) -> LogCheck:
-    """Screens of single signals only, for records of which no problem says what they are.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        The records.
-
-    Returns
-    -------
-    LogCheck
-        As :func:`check`, without any equation between signals.
-
-    Examples
-    --------
-    >>> from oed_sysid import Channels, Output, Record
-    >>> channels, t = Channels((), (Output("r", "rad/s"),)), np.arange(300) * 0.1
-    >>> record = Record("run", t, [], 0.02 * np.ones((300, 1)), channels)
-    >>> print(signal_check(Dataset((record,))).verdict)
-    Nothing wrong was seen in single signals; no equation of a problem relates them.
-    """
-    began = perf_counter()
-    faults, traces = screened([Trace.of(record, {}) for record in dataset])
-    findings = _ordered(words.screen_findings(dataset, traces, faults))
-    open_points = ("signals against each other: name the problem whose channels these are",)
-    spent = perf_counter() - began
-    return LogCheck(tuple(findings), dataset.names, unchecked=open_points, duration=spent)
 
 
 def advised(fit: Fit, log: LogCheck) -> Fit:
@@ -497,12 +363,16 @@ def _far(fit: Fit, records: tuple[str, ...]) -> list[Finding]:
     return [words.said("far", tuple(far), records, row)] if far else []
 
 
-def _equations(dataset: Dataset, model: Model, traces: Sequence[Trace]) -> tuple[Relation, ...]:
+def _equations(
+    dataset: Dataset, model: Model | None, traces: Sequence[Trace]
+) -> tuple[Relation, ...]:
     """Equations between signals that were measured."""
     everywhere = set.intersection(*(set(trace.values) for trace in traces))
-    standard = everywhere - set(model.output_names)
+    spare = everywhere - set(dataset.channels.output_names)
     missing = set.intersection(*(set(record.missing_outputs) for record in dataset))
-    return relations(model, standard, missing)
+    if model is not None:
+        return relations(model, spare, missing)
+    return tuple(standard([o for o in dataset.channels.outputs if o.name not in missing], spare))
 
 
 def _ordered(findings: list[Finding]) -> list[Finding]:
@@ -514,7 +384,7 @@ def _ordered(findings: list[Finding]) -> list[Finding]:
 
 
 def _asked(
-    model: Model,
+    names: Sequence[str],
     traces: Sequence[Trace],
     equations: tuple[Relation, ...],
     ended: Result | None,
@@ -524,7 +394,7 @@ def _asked(
     kinds = ("bias", "scale", "delay", "rate", "drift", "step", *words.READ)
     return [
         words.judged_row(kind, name, units[name], ended, related=name in related)
-        for name, kind in product(model.output_names, kinds)
+        for name, kind in product(names, kinds)
         if name in units
     ]
 

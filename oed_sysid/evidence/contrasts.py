@@ -793,7 +793,7 @@ class System:
             # What cannot be told by these records is a rival, however seldom it is so large.
             usual = self.of("plausible")
             short = own[i] + (size[i] / usual[k]) ** 2 - gain - (other / usual) ** 2
-            near = self.able(chosen, other, error, self.of("largest")) & (short < CLOSE)
+            near = self.able(chosen, other, error) & (short < CLOSE)
             told: dict[tuple[object, ...], Found] = {}
             for j in sorted(np.flatnonzero(near).tolist(), key=lambda j: -gain[j]):
                 f = self.faults[j]
@@ -847,18 +847,11 @@ class System:
         left = np.where(told, left + self.of("plausible") ** -2.0, np.inf)
         return score**2 / left, score / left, left**-0.5
 
-    def able(
-        self,
-        chosen: Sequence[int],
-        size: np.ndarray,
-        std: np.ndarray,
-        most: np.ndarray | None = None,
-    ) -> np.ndarray:
+    def able(self, chosen: Sequence[int], size: np.ndarray, std: np.ndarray) -> np.ndarray:
         """Which candidates are of a size that matters and that such faults have."""
         least = self.of("material") + 1.5 * std**2 * self.doubt
         own = self._own(size)
-        most = LARGEST * self.of("plausible") if most is None else most
-        result = (own >= least) & (own <= most)
+        result = (own >= least) & (own <= self.of("largest"))
         result[list(chosen)] = False
         return result
 
@@ -1114,12 +1107,7 @@ def _axes(
         for angle, quarter in product(sorted(n for n in shared if units[n] == "rad"), (1, 2, 3)):
             turn = Candidate("offset", (angle,), meaning=f"{90 * quarter} deg")
             yield Found(turn, quarter * math.pi / 2.0)
-    yield from turned_axes(velocities, units)
-
-
-def turned_axes(names: Iterable[str], units: Mapping[str, str]) -> Iterator[Found]:
-    """Pairs of signals of one kind whose axes are turned by quarters of a turn in their plane."""
-    for pair, quarter in product(combinations(names, 2), (1, 2, 3)):
+    for pair, quarter in product(combinations(velocities, 2), (1, 2, 3)):
         if units[pair[0]] == units[pair[1]] in ("m", "m/s", "rad/s"):
             turn = Candidate("misalignment", pair, meaning=f"{90 * quarter} deg", rare=RARER)
             yield Found(turn, quarter * math.pi / 2.0)

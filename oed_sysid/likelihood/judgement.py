@@ -110,7 +110,7 @@ FEW = 3.0
 # Lengths of increments as shares of a record; fewer samples than FEWEST say nothing.
 HORIZONS, FEWEST = (0.02, 0.05, 0.125), 10
 # What a fit that ended early asks first; with the check at hand `advised` says what it found.
-LOOK = "See what the check of the log says (quick_check, oed-sysid check)."
+LOOK = "See what the check of the log says (check, on the command line oed-sysid check)."
 # Kinds that make a fit not converged, worst first, and those with which it may converge and must
 # still not be used.
 FATAL = ("runaway", "integration", "degenerate")
