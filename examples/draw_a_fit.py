@@ -12,7 +12,7 @@ import matplotlib as mpl
 mpl.use("Agg")
 
 import oed_sysid
-from oed_sysid.results import fit_page, plot_autocorrelation, plot_zigzag
+from oed_sysid.results import plot_autocorrelation, plot_zigzag
 
 place = Path("out/example")
 place.mkdir(parents=True, exist_ok=True)
@@ -32,7 +32,7 @@ axes = plot_zigzag(data["zigzag_20_20"], [nominal, better], labels=labels)
 axes.figure.savefig(place / "zigzag.png", dpi=150)
 axes = plot_autocorrelation(nominal, "r")
 axes.figure.savefig(place / "autocorrelation.png", dpi=150)
-fit_page(better, style=1).write(place / "better.html")
+better.document(style=1).write(place / "better.html")
 
 print(f"Pictures and report: {place.resolve()}")
 for label, fit in zip(labels, (nominal, better), strict=True):

@@ -18,7 +18,6 @@ import numpy as np
 
 from oed_sysid import Dataset, MultipleShooting, load_problem, read_csv
 from oed_sysid.design import candidate_runs, decide, goals_of, write_controller
-from oed_sysid.results import fit_page
 
 place = Path("out/fly_the_plan")
 place.mkdir(parents=True, exist_ok=True)
@@ -73,7 +72,7 @@ while (decision := decide(known, runs, goals, rng=rng)).next_run is not None and
     logs.append(read_csv(log, model.channels)[0])
     start = json.loads(found.read_text(encoding="utf-8"))["values"]
     known = fit = MultipleShooting().fit(model.with_values(start), Dataset(tuple(logs)))
-fit_page(fit).write(place / "report.html")
+fit.document().write(place / "report.html")
 worst = max(abs(fit.values[name] / off[name] - 1) for name in fit.names)
 print(decision.answer(len(logs), len(logs) * pattern.duration / 3600))
 print(f"Conclusion: after {len(logs)} run(s) every coefficient is within {worst:.1%}: {place}")

@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from oed_sysid import Fit, OedSysidError, new_problem, write_csv
 from oed_sysid.cli.terminal import store
 from oed_sysid.errors import FileError, ProblemError
-from oed_sysid.results import Page, save_figure
+from oed_sysid.results import Report, save_figure
 from oed_sysid.runtime import files
 from oed_sysid.runtime.journal import CellStore
 
@@ -43,7 +43,7 @@ WRITERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "fit": ("json", FIT.save),
     "JSON of a command": ("json", lambda path: store({"values": list(range(9_000))}, path)),
     "CSV": ("csv", lambda path: write_csv(FIT.dataset[0], path)),
-    "page": ("html", lambda path: Page("A", "b", ("c" * 50_000,)).write(path)),
+    "page": ("html", lambda path: Report("A", "b", ("c" * 50_000,)).write(path)),
     "figure": ("png", figure),
 }
 writers = pytest.mark.parametrize(("ending", "write"), WRITERS.values(), ids=WRITERS)

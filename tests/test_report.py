@@ -291,7 +291,7 @@ class _References(HTMLParser):
 @pytest.mark.usefixtures("unrendered")
 def test_report_is_one_file_that_fetches_nothing(fit: Fit, tmp_path) -> None:
     """Pictures are embedded and every reference stays inside the page."""
-    file = report.fit_page(fit).write(tmp_path / "new" / "fit.html")
+    file = fit.document().write(tmp_path / "new" / "fit.html")
     text = file.read_text(encoding="utf-8")
     parser = _References()
     parser.feed(text)
@@ -304,7 +304,7 @@ def test_report_is_one_file_that_fetches_nothing(fit: Fit, tmp_path) -> None:
 
 def test_report_escapes_what_the_user_wrote(fit: Fit) -> None:
     """A record called like a tag does not become one."""
-    page = report.Page("<b>bold</b>", "", ("a < b",))
+    page = report.Report("<b>bold</b>", "", ("a < b",))
     assert "<b>" not in page.html()
     assert "a &lt; b" in page.html()
 
@@ -489,7 +489,7 @@ def test_prediction_plot_shows_the_uncertain_band(story) -> None:
 def test_report_tells_the_story(story) -> None:
     """Verdict, numbers, evidence and equations of the improved model are on the page."""
     found, comparison, train = story
-    page = report.improvement_page(found, comparison, train=train, title="My ship")
+    page = found.document(comparison, train=train, title="My ship")
     titles = [section.title for section in page.sections]
     parts = dict(zip(titles, page.sections, strict=True))
     told = parts["What to believe, and what to do next at sea"].paragraphs

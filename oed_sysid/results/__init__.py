@@ -2,7 +2,7 @@
 
 Every ``plot_x(result, ax=None)`` draws on the given axes, or on those of a new
 figure, and returns them; nothing is shown and no global setting is touched.
-``figure_x`` compose several, and ``page(result).write("file.html")`` makes a report in
+``figure_x`` compose several, and ``result.document().write("file.html")`` makes a report in
 one file: the document of the result with its figures drawn.
 """
 
@@ -45,7 +45,7 @@ from oed_sysid.results.improvement_plots import (
     plot_ranking,
     plot_residual_force,
 )
-from oed_sysid.results.page import Page, Picture, numbers_page, page, style_sheet
+from oed_sysid.results.page import Picture, numbers_page, style_sheet
 from oed_sysid.results.record_plots import (
     figure_check,
     figure_record,
@@ -57,9 +57,5 @@ from oed_sysid.results.record_plots import (
 from oed_sysid.results.style import finding, model_style, new_figure, save_figure
 from oed_sysid.runtime.display import Figure, Report, Section, Table
 from oed_sysid.runtime.version import exported
-
-# The report on every kind of result; the names say which arguments its ``document`` takes.
-check_page = comparison_page = design_page = diagnosis_page = page
-fit_page = improvement_page = programme_page = ranking_page = page
 
 __all__ = exported(globals())

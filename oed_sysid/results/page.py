@@ -33,9 +33,6 @@ from oed_sysid.runtime.display import TWO_SIDED_95, Figure, Report, Section, Tab
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.units import shown_unit
 
-# A page is a document; its older name.
-Page = Report
-
 
 @dataclass(frozen=True)
 class Picture:
@@ -117,29 +114,6 @@ def write(report: Report, path: str | Path) -> Path:
     """Write a document as a page; see :meth:`oed_sysid.runtime.display.Report.write`."""
     files.write_text(Path(path), report.html())
     return Path(path)
-
-
-def page(result: Any, *arguments: Any, **options: Any) -> Report:
-    """Return the report on a result as a page.
-
-    Parameters
-    ----------
-    result : Fit, Comparison, Diagnosis, Improvement, Design, Programme, LogCheck, ...
-    *arguments, **options
-        Of the result's ``document``: what else it is to show.
-
-    Returns
-    -------
-    Report
-        Call ``.write("page.html")``.
-
-    Examples
-    --------
-    >>> from oed_sysid.evidence.result import LogCheck
-    >>> print(page(LogCheck((), ("run_1",))).title)
-    Log check
-    """
-    return result.document(*arguments, **options)
 
 
 def numbers_page(content: Mapping[str, Any]) -> Report:
