@@ -39,7 +39,7 @@ from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.text.csv_table import read_table
-from oed_sysid.text.units import parse_header, shown_unit, to_si
+from oed_sysid.text.units import shown_unit, to_si
 
 # Endings of the logs that are read.
 ENDINGS = (
@@ -141,15 +141,6 @@ def _recognised(source: str, edition: str, _log: Log) -> Recognised:
 def recognised(source: str, log: Log) -> Recognised:
     """What the fields of the first log of a problem are, once for each set of files."""
     return _recognised(source, f"{visit.edition()}:{time_column(source)}", log)
-
-
-def unit_of(log: Log, field: str) -> str:
-    r"""Unit of a field, where the log or its header says it.
-
-    >>> unit_of(open_files({"a.csv": b"t,u [kn]\n0,1\n1,2\n"}).logs["a.csv"], "a.u [kn]")
-    'kn'
-    """
-    return log[field].unit or parse_header(field)[1] or ""
 
 
 def for_file(mapping: LogMapping, log: Log) -> LogMapping:
@@ -496,7 +487,7 @@ def _unit_of(source: str, channel: Input | Output) -> None:
         return
     told = [one for one in recognised(source, log).guesses if one.field == field]
     jumps = clear_wraps(log[field].values)
-    unit = unit_of(log, field) or ("" if jumps is None else "rad" if jumps[0] < 7.0 else "deg")
+    unit = log[field].unit or ("" if jumps is None else "rad" if jumps[0] < 7.0 else "deg")
     made = Source(field, unit=unit or None, wrap=jumps is not None)
     if told and role_of(channel) == told[0].role:
         made = source_of(told[0])

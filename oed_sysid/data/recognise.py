@@ -149,16 +149,6 @@ class Recognised:
         """The field of a role, if there is one."""
         return next((one for one in self.guesses if one.role == role), None)
 
-    def says(self) -> list[str]:
-        """Each guess in a sentence, and what should be confirmed."""
-        lines = []
-        for one in self.guesses:
-            turned = " reversed" if one.sign < 0 else ""
-            asked = f" Please confirm: {', '.join(one.doubts)}." if one.doubts else ""
-            wraps = ", within one turn" if one.wrap else ""
-            lines.append(f"{one.name} = {one.field} [{one.unit}]{turned}{wraps}: {one.why}.{asked}")
-        return lines
-
     def rows(self, log: Log) -> list[dict[str, str]]:
         """Each guess with its range as logged and as read, what is to be confirmed first."""
         return [
@@ -239,10 +229,10 @@ def recognise(log: Log) -> Recognised:
     >>> heading = 20.0 + 150.0 * np.sin(0.02 * t)
     >>> rate = 60.0 * 3.0 * np.cos(0.02 * t)
     >>> log = assemble(Path("a.csv"), "", {"a": (t, {"ch1": -rate, "cap": heading % 360.0})})
-    >>> for line in recognise(log).says():
-    ...     print(line)
-    psi = a.cap [deg], within one turn: it jumps by a turn of 360 deg, and is the integral of a.ch1.
-    r = a.ch1 [deg/min] reversed: it is the rate of a.cap.
+    >>> for one in recognise(log).guesses:
+    ...     print(one.role, one.sign, one.field, one.unit, one.why, sep="; ")
+    psi; 1; a.cap; deg; it jumps by a turn of 360 deg, and is the integral of a.ch1
+    r; -1; a.ch1; deg/min; it is the rate of a.cap
     """
     units = TIMES if log.clock_unit is None else (log.clock_unit,)
     works = [_Work(log, unit) for unit in units]
