@@ -11,9 +11,10 @@ import pytest
 from commands import told
 from plain_pages import plain_pages  # noqa: F401
 
-from oed_sysid import Experiment, Limits, load_problem, simulate, write_csv
+from oed_sysid import Limits, load_problem, simulate, write_csv
 from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.cli.limit_words import with_limits
+from oed_sysid.design.decision import Logbook
 from oed_sysid.errors import DesignError
 
 
@@ -151,13 +152,9 @@ def test_campaign_goes_on_until_enough_is_known(ship: Path, tmp_path: Path, caps
     rng = np.random.default_rng(0)
     actions = []
     for number in range(4):
-        journal = json.loads((folder / "journal.json").read_text())
-        proposed = next(
-            one["experiment"]
-            for one in journal["candidates"]
-            if one["experiment"]["name"] == journal["proposed"]
-        )
-        experiment = replace(Experiment.from_dict(proposed), limits=Limits())
+        journal = Logbook.open(folder)
+        proposed = next(one for one in journal.candidates if one.name == journal.proposed)
+        experiment = replace(proposed.experiment, limits=Limits())
         log = tmp_path / f"log_{number}.csv"
         write_csv(simulate(truth, experiment, rng=rng), log)
         decision = told(tmp_path, ["campaign", folder, "--record", log])
@@ -175,7 +172,7 @@ def test_campaign_goes_on_until_enough_is_known(ship: Path, tmp_path: Path, caps
     # Asked again without a new log, the answer is the same; the same log twice is refused.
     assert told(tmp_path, ["campaign", folder])["action"] == "enough"
     assert main(["campaign", str(folder), "--record", str(log)]) == BAD_INPUT
-    assert len(json.loads((folder / "journal.json").read_text())["records"]) == len(actions)
+    assert len(Logbook.open(folder).records) == len(actions)
 
 
 HIDDEN = "yaw_quadratic_damping"

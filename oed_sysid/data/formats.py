@@ -48,8 +48,8 @@ def read_csv_log(path: Path, time: str = "") -> Log:
     for header in faults:
         del columns[header]
     stamps = [table.headers[i] for i in table.stamps]
-    called = filter(columns.__contains__, (time, *filter(is_time, columns), *stamps))
-    clock = next(called, None) or clock_of(columns)
+    clocks = [one for one in (time, *filter(is_time, columns), *stamps) if one in columns]
+    clock = next(iter(clocks), None) or clock_of(columns)
     if clock is None and (called := next(filter(is_time, faults), None)) is not None:
         raise DataError(faults[called])
     return _log(path, "CSV file", {path.stem: columns}, clock, stamps)

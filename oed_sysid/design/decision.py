@@ -34,9 +34,9 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -57,11 +57,12 @@ from oed_sysid.design.vehicles import (
     quantity,
     units_of,
 )
-from oed_sysid.errors import DesignError, FileError, located
+from oed_sysid.errors import DataError, DesignError, FileError, located
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.information.noise import Levels
 from oed_sysid.information.response import commanded_runs, respond
+from oed_sysid.likelihood.archive import dataclasses_of, decode, encode, read_json
 from oed_sysid.likelihood.between_records import CHANCE
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
@@ -76,7 +77,6 @@ from oed_sysid.runtime.display import (
     as_dict,
     as_text,
     counted,
-    plain,
 )
 from oed_sysid.runtime.files import write_bytes, write_text
 
@@ -718,14 +718,9 @@ class Logbook:
         """
         place = Path(folder) / NAME
         try:
-            data = json.loads(place.read_text(encoding="utf-8"))
-            data = {name: data[name] for name in _KEPT}
-            data["candidates"] = tuple(
-                Candidate(**(one | {"experiment": Experiment.from_dict(one["experiment"])}))
-                for one in data["candidates"]
-            )
-            data["sea"] = None if data["sea"] is None else _noise(data["sea"])
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            kept = decode(read_json(place), _kinds())
+            data = {name: kept[name] for name in _KEPT}
+        except (DataError, KeyError, TypeError) as error:
             raise FileError(
                 f"{str(place)!r} is no journal of a campaign ({error}). Begin another one, or "
                 "restore it from a copy."
@@ -820,18 +815,14 @@ class Logbook:
 
     def write(self) -> None:
         """Write the journal, whole or not at all."""
-        data = {name: getattr(self, name) for name in _KEPT}
-        data["sea"] = None if self.sea is None else asdict(self.sea)
-        write_text(self.folder / NAME, json.dumps(plain(data), indent=1) + "\n")
+        kept = encode({name: getattr(self, name) for name in _KEPT})
+        write_text(self.folder / NAME, json.dumps(kept, allow_nan=False) + "\n")
 
 
 # What the journal holds of a logbook.
 _KEPT = [one.name for one in fields(Logbook) if one.name not in ("folder", "model", "fit")]
 
 
-def _noise(data: Mapping[str, Any]) -> NoiseModel:
-    levels = ("white", "colour", "force", "colour_time", "force_time")
-    arrays = {name: np.array(data[name], dtype=float) for name in levels}
-    names = {name: tuple(data[name]) for name in ("outputs", "places")}
-    seas = tuple(Sea(**sea) for sea in data.get("seas", ()))
-    return NoiseModel(**arrays, **names, seas=seas)  # type: ignore[arg-type]
+def _kinds() -> tuple[type, ...]:
+    """Classes of what a journal holds; manoeuvres of one's own among them."""
+    return (*dataclasses_of(Candidate), *dataclasses_of(NoiseModel))

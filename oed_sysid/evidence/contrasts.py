@@ -1107,10 +1107,10 @@ def _axes(
         for angle, quarter in product(sorted(n for n in shared if units[n] == "rad"), (1, 2, 3)):
             turn = Candidate("offset", (angle,), meaning=f"{90 * quarter} deg")
             yield Found(turn, quarter * math.pi / 2.0)
-    yield from _turned(velocities, units)
+    yield from _quarters(velocities, units)
 
 
-def _turned(velocities: Iterable[str], units: Mapping[str, str]) -> Iterator[Found]:
+def _quarters(velocities: Iterable[str], units: Mapping[str, str]) -> Iterator[Found]:
     """Pairs of velocities whose axes are turned by quarters of a turn in their plane."""
     for pair, quarter in product(combinations(velocities, 2), (1, 2, 3)):
         if units[pair[0]] == units[pair[1]] in ("m", "m/s", "rad/s"):
