@@ -286,6 +286,14 @@ def test_tables_of_other_programs(tmp_path: Path) -> None:
     check_voyage(tmp_path / "run.mat", units, digits=1e-9, origin=VOYAGE.t_psi[0])
 
 
+def test_the_column_of_time_can_be_named(tmp_path: Path) -> None:
+    """A file without that column is read as without the name; times count from the first."""
+    path = tmp_path / "run.csv"
+    path.write_text("t [s],since start,yaw [deg]\n0,10,1\n1,12,2\n2,14,3\n")
+    spans = {name: open_log(path, time=name).span for name in ("", "since start", "clock")}
+    assert spans == {"": (0.0, 2.0), "since start": (0.0, 4.0), "clock": (0.0, 2.0)}
+
+
 def test_frames_become_records_and_return() -> None:
     """A pandas frame, an xarray data set and a record hold the same numbers."""
     import pandas

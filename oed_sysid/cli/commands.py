@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from oed_sysid.experiments.experiment import Experiment
     from oed_sysid.experiments.problem import Problem
     from oed_sysid.likelihood.fit import Fit
+    from oed_sysid.physics.model import Model
     from oed_sysid.runtime.display import Report
     from oed_sysid.runtime.parallel import CellProgress
 
@@ -183,27 +184,26 @@ def import_(
     with progress(f"Reading {log.name}"):
         found = oed_sysid.open_log(log)
     named = problem or ("" if chosen is None else chosen.problem)
-    target = oed_sysid.load_problem(_place(named, mapping), variant=model) if named else None
+    meant = oed_sysid.load_problem(_place(named, mapping), variant=model).model if named else None
     if draft is not None and not listing:
-        _draft(log, found, target, named, draft)
+        _draft(log, found, meant, named, draft)
         return
     if chosen is None and not listing and not find:
-        chosen = _told(log, found, target, named, out)
+        chosen = _told(log, found, meant, named, out)
     if listing or chosen is None:
         _list(log, found, find)
     elif mapping is not None or out is not None:
-        _import(found, chosen, target, out or Path("data"))
+        _import(found, chosen, meant, out or Path("data"))
 
 
 def _told(
-    log: Path, found: Log, problem: Problem | None, named: str, out: Path | None
+    log: Path, found: Log, model: Model | None, named: str, out: Path | None
 ) -> LogMapping | None:
     """Say what the numbers of a log tell, before and after; None where they tell nothing."""
     from oed_sysid.data.logs import draft, recognise
     from oed_sysid.data.recognise import called
 
     told = recognise(found)
-    model = None if problem is None else problem.model
     channels = None if model is None else model.channels
     told = told if channels is None else called(told, channels, found)
     made = draft(found, channels, problem=named, found=told)
@@ -237,11 +237,11 @@ def _told(
 def _import(
     log: Log,
     mapping: LogMapping,
-    problem: Problem | None,
+    model: Model | None,
     out: Path,
 ) -> None:
     """Write a CSV file for every record of a log, and say what its check found."""
-    result = oed_sysid.import_log(log, mapping, None if problem is None else problem.channels)
+    result = oed_sysid.import_log(log, mapping, None if model is None else model.channels)
     dataset = result.dataset
     if out.suffix.lower() == ".csv":
         raise DataError(f"{out} is a file. Give a folder to --out: every cut becomes a file in it.")
@@ -249,7 +249,7 @@ def _import(
     mapping.write(out / "mapping.toml")
     for line in result.notes:
         note(line)
-    checked = oed_sysid.check(dataset, None if problem is None else problem.model)
+    checked = oed_sysid.check(dataset, model)
     answer(f"{counted(len(files), 'record')} written to {out}. {checked.verdict}")
     for file, record in zip(files, dataset, strict=True):
         rate = record.n_samples / max(record.duration, 1e-9)
@@ -270,11 +270,11 @@ def _list(log: Path, found: Log, find: str) -> None:
     store({"log": str(log), "kind": found.kind, "fields": rows})
 
 
-def _draft(log: Path, found: Log, problem: Problem | None, named: str, place: Path) -> None:
+def _draft(log: Path, found: Log, model: Model | None, named: str, place: Path) -> None:
     """Write a first mapping from names, numbers and units."""
-    if problem is None:
+    if model is None:
         raise DataError("--draft needs --problem: whose channels are wanted?")
-    if (made := _told(log, found, problem, named, place)) is not None:
+    if (made := _told(log, found, model, named, place)) is not None:
         made.write(place)
         note(f"Written: {place}. Read it: what is asked is a guess.")
 

@@ -48,8 +48,8 @@ def read_csv_log(path: Path, time: str = "") -> Log:
     for header in faults:
         del columns[header]
     stamps = [table.headers[i] for i in table.stamps]
-    clocks = [one for one in (time, *filter(is_time, columns), *stamps) if one in columns]
-    clock = next(iter(clocks), None) or clock_of(columns)
+    clocks = filter(columns.__contains__, (time, *filter(is_time, columns), *stamps))
+    clock = next(clocks, None) or clock_of(columns)
     if clock is None and (called := next(filter(is_time, faults), None)) is not None:
         raise DataError(faults[called])
     return _log(path, "CSV file", {path.stem: columns}, clock, stamps)
@@ -562,7 +562,8 @@ def open_log(path: str | Path, *, time: str = "") -> Log:
     path : str or Path
         The file; of a ROS 2 bag, the folder.
     time : str
-        Header of the column of time of a CSV file that does not call it so.
+        Header of the column of time of a CSV file that does not call it so; a file without this
+        column is read as without it.
 
     Returns
     -------

@@ -190,8 +190,7 @@ def _related(
     sized = {one.correction.key: one for one in ended.found}
     mended = contrasts.mended(clean, (*found, *ended.found), equations)
     ends = {trace.name: trace.ends for trace in clean}
-    effects = () if model is None else model.effects
-    log = words.Log(dataset.channels, equations, dataset.names, ends, _sensed(effects))
+    log = words.Log(dataset.channels, equations, dataset.names, ends, _sensed(model))
     findings = [*map(log.reading, found)]
     findings += map(log.sized, (one for key, one in sized.items() if key not in known))
     findings += words.clock_findings(mended, equations)
@@ -344,8 +343,9 @@ def _without(fit: Fit, records: Dataset, effects: Sequence[Effect]) -> Dataset:
     return Dataset(tuple(undone))
 
 
-def _sensed(effects: Sequence[Effect]) -> frozenset[str]:
+def _sensed(model: Model | None) -> frozenset[str]:
     """Signals on which sensors have an effect."""
+    effects = () if model is None else model.effects
     return frozenset(str(key) for e in effects if e.stage == "sensor" for key in e.terms)
 
 
