@@ -43,13 +43,7 @@ from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
 from oed_sysid.likelihood.noise_model import Disturbances, Levels, NoiseModel, forces_in, seas_in
 from oed_sysid.likelihood.projection import eliminate
-from oed_sysid.likelihood.random_forces import (
-    Start,
-    fit_disturbed,
-    with_colour,
-    with_input_noise,
-    with_own_times,
-)
+from oed_sysid.likelihood.random_forces import Start, admitted, fit_disturbed
 from oed_sysid.likelihood.score_test import ScoreTest, Setting, score_test
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.summary import Procedure, summarise_filtered
@@ -319,11 +313,9 @@ class Study:
         return end and (self.estimate(effects, end.values, end) if at_sea else end)
 
     def settle(self, found: FilteredSolution) -> FilteredSolution:
-        """Estimate once more, colours of sensors and own times of disturbances admitted."""
+        """Estimate once more, every part of the noise model asked for again."""
         again = solve_filtered(found.problem, found.point, max_iterations=25, polish=0)
-        again = min(again, found, key=lambda one: one.objective)
-        again = with_input_noise(with_colour(again, self.setting), self.setting)
-        return with_own_times(again, self.setting)
+        return admitted(min(again, found, key=lambda one: one.objective), self.setting)
 
     def resolved(self, found: FilteredSolution) -> FilteredSolution:
         """The same by steps that resolve all motion; see :mod:`.likelihood.integration`."""

@@ -1,8 +1,9 @@
 r"""From a white fit to the likelihood of innovations: which noise, how strong, with the rest.
 
-What :mod:`oed_sysid.likelihood.score_test` finds is where levels begin. A sea, colour of sensors,
-noise of logged inputs and times of their own are admitted one after the other, each where it is
-worth it.
+What :mod:`oed_sysid.likelihood.score_test` finds is where levels begin. Whether a sea acts is asked
+next, then one forward search (:func:`admitted`) over the other parts of the noise model: each is
+proposed where a cheap statistic asks for it, estimated with everything else, and stays at one
+price.
 
 *Is what disturbs a vehicle a sea?* At the estimate with forces of first order, resonators
 (:mod:`oed_sysid.compiled.filtering`) are admitted with variance zero in every equation at once.
@@ -15,8 +16,7 @@ first order projected out. Its largest value over a grid of periods is held agai
 :math:`\bar\chi^2` distribution of as many variances at their bound (Silvapulle & Sen 2005,
 *Constrained statistical inference*, ch. 3), each period a test of its own.
 
-A period is tested where the spectrum of the innovations may show more than white noise about it
-(:func:`_in_spectrum`). Where ``T`` is beyond, resonators are estimated *instead* of the forces,
+Where ``T`` is beyond, resonators are estimated *instead* of the forces,
 first at the period of the test, then with everything together; three shapes compete, and the sea
 stays where it is clearly likelier. Forces of first order on top are asked last, because a wrong
 shape lets them in.
@@ -24,7 +24,7 @@ shape lets them in.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from itertools import compress
@@ -34,7 +34,7 @@ from scipy.special import chdtrc, comb
 
 from oed_sysid.compiled.filtering import FORCE_VARIANCE
 from oed_sysid.data.record import Record
-from oed_sysid.likelihood.between_records import WORTH_TELLING
+from oed_sysid.likelihood.between_records import CHANCE, WORTH_TELLING
 from oed_sysid.likelihood.covariance import FEWEST
 from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.filtered import NEXT_PERIOD, Filtered
@@ -68,18 +68,13 @@ WORTH = 10.0
 # Decades above these levels that are climbed for the likeliest, and the stride of the climb: where
 # a model hardly damps what disturbs it, records tell of levels far below those that act.
 DECADES, STRIDE = 21, 3
-# Times its promise that a first look at a shape of a sea falls short of the likeliest so far, from
-# which on it cannot win: gains of at most 1.2 times the promise were measured, and two leaves room.
-PROMISED = 2.0
 # Steps with white noise before process noise is asked for, and with forces of first order before a
 # sea is: without it they do not converge.
 FIRST_STEPS = 8
 # Ends from which no search goes on.
 HOME = ("converged", "diverged")
-# Probabilities, where no sea acts, of a test above its threshold, and of a look at one output that
-# leads to the test of a period: at a tenth of it a weak sea of few waves is missed in two of ten
-# records, doubled the test is asked at half of the periods.
-FALSE_SEA, LOOK = 0.005, 0.05
+# Gives the problem with another part of the noise unknown, or None where nothing asks for it.
+Proposal = Callable[[FilteredSolution, Setting], Filtered | None]
 
 
 def begun(problem: Filtered, unknowns: np.ndarray) -> Iterate:
@@ -137,8 +132,7 @@ def fit_disturbed(
     best = stayed or _raced_to_sea(beginnings, setting, progress)
     if best.finite is None:
         return best
-    for step in (with_colour, with_input_noise, with_own_times):
-        best = step(best, setting)
+    best = admitted(best, setting)
     return best if best is stayed or not polish else _polished(best, polish)
 
 
@@ -336,12 +330,46 @@ def _first_home(
     return best
 
 
-# -- kinds of noise that are admitted ------------------------------------------------
+# -- parts of the noise model --------------------------------------------------------
 
 
-def _worth(found: FilteredSolution, again: FilteredSolution) -> FilteredSolution:
-    """The later fit where it is clearly likelier, else the one before."""
-    return found if 2.0 * (found.restricted - again.restricted) < WORTH else again
+def admitted(
+    found: FilteredSolution, setting: Setting, parts: Mapping[Proposal, float] | None = None
+) -> FilteredSolution:
+    """Forward search over parts of the noise model, each estimated with everything else.
+
+    A part stays where the restricted likelihood pays its price.
+
+    Parameters
+    ----------
+    found : FilteredSolution
+    setting : Setting
+    parts : mapping, optional
+        Prices of parts, in twice the log-likelihood, by what proposes them: this gives the problem
+        with the part, again while that stays, or None where nothing asks for it. By default
+        :data:`PARTS`.
+    """
+    for propose, price in (parts or PARTS).items():
+        while problem := propose(found, setting):
+            again = moved(found, problem, setting.max_iterations)
+            if not _is_shown(again.noise, setting) or _fall(found, again) < price:
+                break
+            found = again
+    return found
+
+
+def _fall(found: FilteredSolution, again: FilteredSolution) -> float:
+    """By how much a later fit is likelier, in twice the restricted log-likelihood."""
+    return 2.0 * (found.restricted - again.restricted)
+
+
+def _is_shown(noise: NoiseModel, setting: Setting) -> bool:
+    """Whether no noise of a logged input is larger than the log shows.
+
+    It would be something else that the input happens to explain.
+    """
+    levels = zip(noise.places, noise.force, strict=True)
+    return all(level <= setting.most_input.get(place, np.inf) for place, level in levels)
 
 
 def _joined(
@@ -350,8 +378,8 @@ def _joined(
     places: Sequence[str],
     times: Sequence[float],
     known: Sequence[Sea] | None = None,
-) -> FilteredSolution:
-    """Let forces join at more places, at the best of some times, where the records ask for them."""
+) -> Filtered | None:
+    """Forces at more places, of the time and size that the score says; None below the price."""
     new = [place for place in places if place not in found.problem.levels.unit.places]
     unit = found.problem.levels.unit.with_places(new, 1.0, 1.0)
 
@@ -361,7 +389,7 @@ def _joined(
 
     noise, least, begin = found.noise, WORTH, None
     if not places:
-        return found
+        return None
     scored = Scored.at(found)
     for time in times:
         wide = noise.with_places(places, time)
@@ -369,7 +397,7 @@ def _joined(
         if gain >= least:
             least, begin = gain, noise.with_places(places, time, np.sqrt(variances))
     if begin is None:
-        return found
+        return None
     # What joins has the size that the score says.
     sizes = dict(zip(unit.places, unit.force, strict=True))
     sizes |= {p: f for p, f in zip(begin.places, begin.force, strict=True) if p in new and f > 0}
@@ -377,7 +405,7 @@ def _joined(
     # What does not act at first may act for another time.
     asked = (begin.force > 0) | (begin.force_time > 0)
     asked[: len(noise.places)] = True
-    return _worth(found, moved(found, posed_at(begin.only(asked)), setting.max_iterations))
+    return posed_at(begin.only(asked))
 
 
 def _own_times(found: FilteredSolution, noise: NoiseModel) -> bool:
@@ -385,103 +413,103 @@ def _own_times(found: FilteredSolution, noise: NoiseModel) -> bool:
     return not found.problem.levels.shares_a_time and bool(np.any(noise.force > 0))
 
 
-def with_colour(found: FilteredSolution, setting: Setting) -> FilteredSolution:
-    """Admit coloured noise of the sensors whose innovations ask for it, and estimate again.
+def _autocorrelated(found: FilteredSolution) -> np.ndarray:
+    """Outputs that may have autocorrelated noise."""
+    return np.isin(np.arange(len(found.noise.white)), found.problem.levels.coloured)
 
-    Where the colour that was admitted vanishes, the white level is bounded or declared again.
+
+def autocorrelated_sensors(found: FilteredSolution, setting: Setting) -> Filtered | None:
+    """Autocorrelated noise of the sensors whose innovations ask for it."""
+    has = _autocorrelated(found)
+    asks = setting.colour & correlated(found.problem, found.point.unknowns) & ~has
+    if not asks.any():
+        return None
+    noise = found.noise
+    # Away from zero, where a level would have no slope in its time.
+    noise = replace(noise, colour=np.where(asks, 0.5 * noise.white, noise.colour))
+    return posed(found, setting, noise, has | asks)
+
+
+def sensors_for_forces(found: FilteredSolution, setting: Setting) -> Filtered | None:
+    """Autocorrelated noise of every sensor in the place of forces.
+
+    Forces are estimated first, and have then grown to explain what is correlated at the sensors.
     """
-    if not setting.colour:
-        return found
-    most = setting.max_iterations
-    for _ in range(2):
-        has = _has_colour(found)
-        asks = correlated(found.problem, found.point.unknowns) & ~has
-        if not asks.any():
-            break
-        noise = found.noise
-        # Away from zero, where a level would have no slope in its time.
-        noise = replace(noise, colour=np.where(asks, 0.5 * noise.white, noise.colour))
-        again = _worth(found, moved(found, posed(found, setting, noise, has | asks), most))
-        if again is found:
-            break
-        found = again
-    found = _at_the_sensors(found, setting)
-    noise, has = found.noise, _has_colour(found)
+    noise = found.noise
+    if noise.seas or not (_autocorrelated(found).any() and np.any(noise.force > 0)):
+        return None
+    large = np.maximum(noise.colour, setting.white)
+    alone = replace(noise, force=np.zeros_like(noise.force), colour=large)
+    return posed(found, setting, alone)
+
+
+def without_vanished(found: FilteredSolution, setting: Setting) -> Filtered | None:
+    """White noise, bounded or declared again, of sensors whose autocorrelated noise vanishes."""
+    noise, has = found.noise, _autocorrelated(found)
     vanished = has & (noise.colour < 0.02 * setting.white)
     if not vanished.any():
-        return found
+        return None
     white = np.where(setting.estimated, np.maximum(noise.white, setting.least_white), setting.white)
     noise = replace(
         noise,
         white=np.where(vanished, white, noise.white),
         colour=np.where(vanished, 0.0, noise.colour),
     )
-    return moved(found, posed(found, setting, noise, has & ~vanished), most).finite or found
+    return posed(found, setting, noise, has & ~vanished)
 
 
-def _at_the_sensors(found: FilteredSolution, setting: Setting) -> FilteredSolution:
-    """Coloured noise of every sensor in the place of forces, where that is clearly likelier.
-
-    Forces are estimated first, and have then grown to explain what is correlated at the sensors.
-    """
-    noise = found.noise
-    if noise.seas or not (_has_colour(found).any() and np.any(noise.force > 0)):
-        return found
-    loud = np.maximum(noise.colour, setting.white)
-    alone = replace(noise, force=np.zeros_like(noise.force), colour=loud)
-    again = moved(found, posed(found, setting, alone), setting.max_iterations)
-    return _worth(found, again)
-
-
-def _has_colour(found: FilteredSolution) -> np.ndarray:
-    """Outputs that may have coloured noise."""
-    return np.isin(np.arange(len(found.noise.white)), found.problem.levels.coloured)
-
-
-def with_input_noise(found: FilteredSolution, setting: Setting) -> FilteredSolution:
-    """Let noise on logged inputs in where the records ask for it, and estimate again.
+def noisy_inputs(found: FilteredSolution, setting: Setting) -> Filtered | None:
+    """Noise on logged inputs.
 
     A logged angle is a measurement too: what moves the vehicle is the angle without the noise of
     its sensor, white from sample to sample.
     """
-    new = [p.name for p in setting.inputs if p.name not in found.noise.places]
-    again = _joined(found, setting, new, [0.0])
-    # Noise that the log does not show is something else that the inputs happen to explain.
-    most = setting.most_input
-    levels = zip(again.noise.places, again.noise.force, strict=True)
-    if any(level > most.get(place, np.inf) for place, level in levels):
-        return found
-    return _instead(found, setting, new) if again is found and new else again
+    new = [place.name for place in setting.inputs if place.name not in found.noise.places]
+    return _joined(found, setting, new, [0.0])
 
 
-def _instead(found: FilteredSolution, setting: Setting, inputs: Sequence[str]) -> FilteredSolution:
-    """Noise of logged inputs in the place of forces, where the records prefer that.
+def inputs_for_forces(found: FilteredSolution, setting: Setting) -> Filtered | None:
+    """Noise of logged inputs in the place of forces.
 
     Forces in the equations in which an input acts explain most of its noise, so that it adds
     little to them; alone it has fewer unknowns, and one signal moves all these equations.
     """
     noise, most = found.noise, setting.most_input
-    inputs = [place for place in inputs if np.isfinite(most[place])]
-    if noise.seas or not (inputs and np.any(noise.force > 0)):
-        return found
+    inputs = [place.name for place in setting.inputs if np.isfinite(most[place.name])]
+    if noise.seas or not (inputs and np.any(noise.force > 0)) or {*inputs} & {*noise.places}:
+        return None
     shown = [most[place] / TWOFOLD for place in inputs]
     alone = noise.only(np.isin(noise.places, setting.known)).with_places(inputs, 0.0, shown)
-    again = moved(found, posed(found, setting, alone), setting.max_iterations)
-    # As Akaike weighs unknowns (1974).
-    fewer = len(found.problem.levels) - len(again.problem.levels)
-    return found if again.objective > found.objective + 2.0 * fewer else again
+    return posed(found, setting, alone)
 
 
-def with_own_times(found: FilteredSolution, setting: Setting) -> FilteredSolution:
-    """Give every disturbance a time of its own where that is clearly likelier."""
+def own_times(found: FilteredSolution, setting: Setting) -> Filtered | None:
+    """A time of its own for every disturbance."""
     noise, levels = found.noise, found.problem.levels
     lasting = np.sum((noise.force > 0) & (noise.force_time > 0)) + len(levels.coloured)
     if not levels.shares_a_time or lasting < 2:
-        return found
+        return None
     problem = posed(found, setting, noise, own_times=True)
-    if 2.0 * moved(found, problem, 0).promise < WORTH:
-        return found
-    return _worth(found, moved(found, problem, setting.max_iterations))
+    return problem if 2.0 * moved(found, problem, 0).promise >= WORTH else None
+
+
+def beside_a_sea(found: FilteredSolution, setting: Setting) -> Filtered | None:
+    """Forces of first order beside a sea."""
+    sample = min(record.sample_time for record in found.problem.records)
+    rest = [place for place in setting.at_sea if place not in found.noise.places]
+    return _joined(found, setting, rest, [count * sample for count in TIMES], [Sea()])
+
+
+# Parts in the order in which they are asked for, and their prices: nothing is paid for noise of
+# inputs that takes the place of that of more equations, and what has vanished always goes.
+PARTS: Mapping[Proposal, float] = {
+    autocorrelated_sensors: WORTH,
+    sensors_for_forces: WORTH,
+    without_vanished: -np.inf,
+    noisy_inputs: WORTH,
+    inputs_for_forces: 0.0,
+    own_times: WORTH,
+}
 
 
 def correlated(problem: Filtered, unknowns: np.ndarray) -> np.ndarray:
@@ -511,20 +539,20 @@ def _whitened(problem: Filtered, unknowns: np.ndarray) -> Iterator[tuple[Record,
 
 
 def threshold(n_forces: int, n_tests: int) -> float:
-    """Value of the test that is exceeded with probability ``FALSE_SEA`` where no sea acts.
+    """Value of the test that is exceeded with probability ``CHANCE`` where no sea acts.
 
     Of ``n_forces`` independent variances at their bound, ``k`` are positive in one of ``2^n``
     cases for each choice of them.
 
     >>> round(threshold(3, 8), 1), round(threshold(4, 8), 1)
-    (14.4, 16.0)
+    (13.0, 14.5)
     """
     from scipy.optimize import brentq  # a fifth of a second, which white fits do without
 
     count = np.arange(1, n_forces + 1)
     weights = comb(n_forces, count) / 2.0**n_forces
     return float(
-        brentq(lambda value: weights @ chdtrc(count, value) - FALSE_SEA / n_tests, 0.0, 200.0)
+        brentq(lambda value: weights @ chdtrc(count, value) - CHANCE / n_tests, 0.0, 200.0)
     )
 
 
@@ -560,38 +588,23 @@ def with_sea(
         return found
     seas = (known.filled(_calm(places, period)) for period in tried)
     ends = [_at_sea(found, setting, sea, known, begin or (found,)) for sea in seas]
-    return _admitted(min(ends, key=lambda one: one.restricted), found, setting)
-
-
-def _admitted(sea: FilteredSolution, found: FilteredSolution, setting: Setting) -> FilteredSolution:
-    """A declared sea, or one that is clearly likelier with what joins it; else what was found."""
+    sea = min(ends, key=lambda one: one.restricted)
     if sea.finite is None:
         return found
     if setting.seas:
         return sea
-    return _with_forces(sea, setting) if _clearly_a_sea(sea, found, setting) else found
-
-
-def _with_forces(found: FilteredSolution, setting: Setting) -> FilteredSolution:
-    """Let forces of first order join a sea where the records ask for them."""
-    sample = min(record.sample_time for record in found.problem.records)
-    rest = [place for place in setting.at_sea if place not in found.noise.places]
-    return _joined(found, setting, rest, [count * sample for count in TIMES], [Sea()])
+    clearly = _clearly_a_sea(sea, found, setting)
+    return admitted(sea, setting, {beside_a_sea: WORTH}) if clearly else found
 
 
 def _clearly_a_sea(sea: FilteredSolution, found: FilteredSolution, setting: Setting) -> bool:
     """Whether a sea is clearly likelier than forces of first order."""
-    # Held over the same shorter steps, these may be as likely; what they promise there decides
-    # where that is clear.
+    # Held over the same shorter steps, these may be as likely.
     own, most = _own_times(found, found.noise), sea.noise.longest_hold
     problem = posed(found, setting, found.noise, own_times=own, longest_hold=most)
-    for steps in (0, setting.max_iterations):
-        first = moved(found, problem, steps)
-        rival = min(first, found, key=lambda one: one.restricted)
-        promised = max(rival.promise, first.promise)
-        if 2.0 * (rival.restricted - promised - sea.restricted) >= 2.0 * WORTH:
-            return True
-    return False
+    again = moved(found, problem, setting.max_iterations)
+    rival = min(again, found, key=lambda one: one.restricted)
+    return _fall(rival, sea) - 2.0 * rival.promise >= 2.0 * WORTH
 
 
 def _likely_periods(
@@ -614,43 +627,13 @@ def _likely_periods(
         steps = int(np.ceil(STEPS_OF_PERIOD * sample / period - 1e-6))
         return scored(max(steps, 1)).gain(wide, names)[0]
 
-    asked = _in_spectrum(found, [_calm(places, one) for one in tried]) | bool(setting.seas)
-    gains = np.zeros(len(tried))
-    gains[asked] = [gain(one) for one in compress(tried, asked)]
+    gains = np.array([gain(one) for one in tried])
     beside = np.pad(gains, 1)
     peaks = (gains > beside[:-2]) & (gains >= beside[2:])
     peaks &= gains >= threshold(len(places), len(tried))
     if setting.seas and not peaks.any():
         return [tried[int(np.argmax(gains))]]
     return list(compress(tried, peaks))
-
-
-def _in_spectrum(found: FilteredSolution, calm: Sequence[Sea]) -> np.ndarray:
-    r"""Seas ``(n_seas,)`` of which the innovations of any output may show more than white noise.
-
-    Vehicle and filter are linear here: a force with a period is in the innovations with the same.
-    Of their periodogram :math:`I_j`, of mean one, and the power :math:`g_j` of a resonator
-
-    .. math:: \nu \frac{\sum_j g_j I_j}{\sum_j g_j} \sim \chi^2_\nu, \quad
-        \nu = 2 \frac{(\sum_j g_j)^2}{\sum_j g_j^2}
-
-    about, where they are white (Satterthwaite 1946, *Biometrics Bulletin* 2, 110): a look that
-    costs one pass of the filter in all, before a test that costs one for each.
-    """
-    power = weight = squares = 0.0
-    for record, white in _whitened(found.problem, found.point.unknowns):
-        seen = np.isfinite(white).sum(axis=0)
-        ordinates = np.abs(np.fft.rfft(np.nan_to_num(white), axis=0)[1:]) ** 2
-        hertz = np.fft.rfftfreq(len(white), record.duration / (len(white) - 1))[1:, None]
-        apart = hertz * [one.period for one in calm]
-        wide = (apart * [one.bandwidth for one in calm]) ** 2
-        share = wide / ((1.0 - apart**2) ** 2 + wide)
-        power = power + share.T @ (ordinates / np.maximum(seen, 1))
-        weight = weight + share.sum(axis=0)[:, None] * (seen > 0)
-        squares = squares + (share**2).sum(axis=0)[:, None] * (seen > 0)
-    freedom = 2.0 * weight**2 / np.maximum(squares, np.finfo(float).tiny)
-    chance = chdtrc(freedom, freedom * power / np.maximum(weight, np.finfo(float).tiny))
-    return np.asarray(np.any(chance < LOOK, axis=1))
 
 
 def periods(found: FilteredSolution) -> list[float]:
@@ -711,14 +694,7 @@ def _at_sea(
         return near
     noise, free = near.noise, replace(known, shape=None)
     shaped = [replace(noise.seas[0], shape=s) for s in ([known.shape] if known.shape else SHAPES)]
-    looked: list[FilteredSolution] = []
-    for one in shaped:
-        # A shape that promises too little at its first look wins no race.
-        shape = replace(noise, seas=(one,))
-        look = again(near, shape, free, 0) if looked else near
-        least = min((end.restricted for end in looked), default=np.inf)
-        if look.restricted - PROMISED * look.promise < least:
-            looked.append(again(near, shape, free, FEW))
+    looked = [again(near, replace(noise, seas=(one,)), free, FEW) for one in shaped]
 
     def to_the_end(one: FilteredSolution) -> FilteredSolution:
         most = setting.max_iterations
