@@ -122,10 +122,6 @@ CASES: dict[type[OedSysidError], dict[str, tuple[Callable[[], object], tuple[str
             ("'yes'", "auto, never, always"),
         ),
         "unknown solver": (lambda: Solver("snopt"), ("'snopt'", "gauss-newton, ipopt")),
-        "unknown Hessian": (
-            lambda: Solver("ipopt", hessian="bfgs"),
-            ("'bfgs'", "exact, gauss-newton"),
-        ),
         "constraints without IPOPT": (
             lambda: Solver(constraints=("K > 0",)),
             ("Solver('ipopt')", "Parameter(lower=..., upper=...)"),

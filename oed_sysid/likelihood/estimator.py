@@ -47,16 +47,12 @@ class Solver:
     Parameters
     ----------
     method : str
-        ``"gauss-newton"``, condensed and fast; or ``"ipopt"``, which holds every node as an
-        unknown and takes constraints. Where process noise acts its unknowns are those of the
-        likelihood of innovations.
+        ``"gauss-newton"``; or ``"ipopt"``, which goes on from its end and takes constraints.
     max_iterations : int
         Most iterations.
     tolerance : float
         Gain of a full step below which the cost is least; see
         :func:`oed_sysid.likelihood.gauss_newton.solve`.
-    hessian : str
-        For IPOPT: ``"gauss-newton"`` or ``"exact"``.
     constraints : sequence of str
         For IPOPT, in SI units: comparisons among parameters, ``"M_uq < 0"`` or
         ``"Y_v*N_r > N_v*Y_r"``; of predicted outputs along every record, ``"z < 25"``, and at its
@@ -73,12 +69,10 @@ class Solver:
     _: KW_ONLY
     max_iterations: int = 100
     tolerance: float = 1e-6
-    hessian: str = "gauss-newton"
     constraints: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         check_choice("Solver", self.method, ("gauss-newton", "ipopt"))
-        check_choice("hessian", self.hessian, ("exact", "gauss-newton"))
         if self.constraints and self.method != "ipopt":
             raise ModelError(
                 "Constraints among parameters need Solver('ipopt'); bounds of single parameters "

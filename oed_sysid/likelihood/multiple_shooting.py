@@ -23,7 +23,7 @@ from oed_sysid.likelihood.estimator import (
     check_positive,
 )
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.gauss_newton import Progress, Solution, solve
+from oed_sysid.likelihood.gauss_newton import FilteredSolution, Progress, Solution, solve
 from oed_sysid.likelihood.integration import resolved
 from oed_sysid.likelihood.judgement import concerns_of, with_verdict
 from oed_sysid.likelihood.laws import posed_again
@@ -41,7 +41,7 @@ from oed_sysid.likelihood.noise_levels import (
     without_spikes,
 )
 from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, forces_in, seas_in
-from oed_sysid.likelihood.nonlinear_program import NonlinearProgram, constrained, solve_innovations
+from oed_sysid.likelihood.nonlinear_program import constrained, solve_constrained, solve_within
 from oed_sysid.likelihood.random_forces import (
     FIRST_STEPS,
     Start,
@@ -194,8 +194,7 @@ class MultipleShooting:
         """Name and settings, for reports."""
         interval = "" if self.interval is None else f", interval {self.interval:g} s"
         loss = "" if self.loss in ("auto", "square") else f", {self.loss} loss"
-        ipopt = self.solver.method == "ipopt"
-        solver = f", IPOPT with {self.solver.hessian} Hessian" if ipopt else ""
+        solver = ", IPOPT" if self.solver.method == "ipopt" else ""
         horizon = "" if self.horizon is None else f", {self.horizon:g} s ahead"
         return f"multiple shooting{interval}{loss}{solver}{horizon}"
 
@@ -294,13 +293,14 @@ class MultipleShooting:
             return None
         began = time.perf_counter()
         problem, begin = posed_again(free, given.known_starts, levels=True)
-        end = solve_innovations(
+        ended = solve_constrained(
             problem,
-            begin,
+            Point(begin, ()),
             self.solver.constraints,
             max_iterations=self.solver.max_iterations,
             tolerance=self.solver.tolerance,
         )
+        end = FilteredSolution(*ended)
         if end.finite is None:
             return None
         iterations, name = free.iterations + end.iterations, f"{self.name}, disturbance forces"
@@ -331,9 +331,6 @@ class MultipleShooting:
         shooting.check_enough_samples()
         if self.horizon is not None:
             check_horizon(shooting, self.horizon)
-        if self.solver.method == "ipopt":
-            every = [np.arange(len(r.times), dtype=np.intc) for r in shooting.records]
-            shooting = shooting.having(starts=tuple(every))
         how = Procedure(self.name, estimated, 0, began, self.coloured)
         return _Task(shooting, how)
 
@@ -383,8 +380,7 @@ class MultipleShooting:
         plain = replace(self, loss="square", disturbances="none")
         # While some are left, they must not bend the residuals in which they are looked for.
         few = replace(self.solver, max_iterations=min(FIRST_STEPS, self.solver.max_iterations))
-        loss = "square" if self.solver.method == "ipopt" else "student"  # IPOPT knows one alone
-        looking = replace(plain, loss=loss, solver=few)
+        looking = replace(plain, loss="student", solver=few)
         before, spent = _measured(fit.dataset), [fit.iterations]
 
         def again_by(way: MultipleShooting, dataset: Dataset, earlier: Fit | None) -> Fit:
@@ -538,9 +534,7 @@ class MultipleShooting:
         if self.horizon is not None:
             minimise = partial(solve_windows, horizon=self.horizon)
         if self.solver.method == "ipopt":
-            minimise = NonlinearProgram(
-                shooting, hessian=self.solver.hessian, constraints=self.solver.constraints
-            ).solve
+            minimise = partial(solve_within, constraints=self.solver.constraints)
         return partial(
             minimise,
             max_iterations=self.solver.max_iterations,
@@ -568,8 +562,7 @@ class MultipleShooting:
 
 
 _GONE = {
-    name: f"solver=Solver({name}=...)"
-    for name in ("max_iterations", "tolerance", "hessian", "constraints")
+    name: f"solver=Solver({name}=...)" for name in ("max_iterations", "tolerance", "constraints")
 }
 MultipleShooting.__init__ = respelled(ModelError, _GONE)(MultipleShooting.__init__)  # type: ignore[method-assign]
 

@@ -1,9 +1,9 @@
-r"""Multiple shooting as a nonlinear program for IPOPT.
+r"""Estimation within constraints, by IPOPT.
 
-The same problem as :mod:`oed_sysid.likelihood.gauss_newton` solves, with the state at every sample
-an unknown and continuity an equality constraint, so that the exact Hessian can be
-used and the user may add constraints. It is slower and needs
-no condensing; see Waechter & Biegler (2006) for the solver.
+The unknowns are those of :mod:`oed_sysid.likelihood.gauss_newton`, whose optimum without
+constraints is where the search begins. The program knows cost and constraints in numbers, with
+their derivatives; its Hessian is the expected information, that of the cost alone. See Waechter &
+Biegler (2006) for the solver.
 
 Constraints are comparisons in SI units: among parameters, ``"M_uq < 0"``; of predicted outputs
 at every sample of every record (a path), ``"z < 25"``; at the first or last one,
@@ -29,10 +29,8 @@ it is from the first (:math:`m = 0`). Several act one after the other. Bounds of
 say where a search ended: they leave errors alone.
 
 Where process noise acts, the likelihood is that of the innovations
-(:mod:`oed_sysid.likelihood.filtered`). States are then what the filter has made of all that was
-measured before, so that parameters, start states and levels are all that is unknown. Constraints
-are of the undisturbed run: what the filter predicts follows the records. The Hessian is the
-expected information.
+(:mod:`oed_sysid.likelihood.filtered`), levels of the noise among the unknowns. Constraints are of
+the undisturbed run: what the filter predicts follows the records.
 """
 
 from __future__ import annotations
@@ -46,7 +44,6 @@ import casadi as ca
 import numpy as np
 from scipy.special import erfcx
 
-from oed_sysid.compiled.graph import Graph, build
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimate import Binding
@@ -54,12 +51,13 @@ from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import (
     FilteredSolution,
+    Iterate,
     Progress,
     Solution,
     differences,
     differentiated,
     exact,
-    nowhere,
+    solve,
 )
 from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.shooting import Point, Shooting
@@ -78,151 +76,8 @@ _REASONS = {
 }
 
 
-class NonlinearProgram:
-    """The estimation problem as IPOPT sees it.
-
-    Parameters
-    ----------
-    shooting : Shooting
-        Cut at every sample.
-    hessian : str
-        ``"exact"`` or ``"gauss-newton"``.
-    constraints : sequence of str
-        Inequalities or equations, see above.
-    """
-
-    def __init__(
-        self, shooting: Shooting, *, hessian: str = "exact", constraints: Sequence[str] = ()
-    ) -> None:
-        self._graph = build(shooting.model)
-        layout = shooting.layout
-        n_all = sum(shooting.interval_counts) - layout.n_records
-        self._scale = np.append(shooting.limits.scale, np.tile(shooting.state_scale, n_all))
-        scaled = ca.MX.sym("unknowns", len(self._scale))
-        unknowns = scaled * self._scale
-        # A parameter of the program, so that noise levels can be estimated without building it
-        # again.
-        inverse_sigma = ca.MX.sym("inverse_sigma", len(shooting.sigma))
-        residuals, jumps, extra = [], [], []
-        user = self._user = UserConstraints(shooting.model, constraints)
-        position = layout.n_unknowns
-        for index in range(layout.n_records):
-            columns = layout.record_columns(index)
-            own = unknowns[columns[: layout.n_own].tolist()]
-            free = unknowns[columns[layout.n_own :].tolist()]
-            logged = np.flatnonzero(layout.logged).tolist()
-            free[logged] = ca.exp(free[logged])
-            values = ca.MX(ca.DM(shooting.model.value_vector))
-            values[list(self._graph.free_indices)] = free
-            n_nodes = shooting.interval_counts[index] - 1
-            n_entries = n_nodes * self._graph.n_full
-            nodes = ca.reshape(
-                unknowns[position : position + n_entries], self._graph.n_full, n_nodes
-            )
-            position += n_entries
-            part, defects, seen = self._record(shooting, index, own, values, nodes)
-            residuals.append(ca.vec(part * ca.repmat(inverse_sigma, 1, part.shape[1])))
-            jumps.append(defects)
-            extra.append(user.of_record(seen, values))
-        residual = ca.vertcat(*residuals)
-        loss, weight = residual**2, ca.MX.ones(residual.shape)
-        if shooting.loss is not None:
-            loss, weight = shooting.loss(residual, functions=ca)
-        weighted = np.flatnonzero(shooting.limits.prior_weight).tolist()
-        # As further residuals, which a Gauss-Newton Hessian then counts like the others.
-        prior = (unknowns[weighted] - shooting.limits.prior_mean[weighted]) * np.sqrt(
-            shooting.limits.prior_weight[weighted]
-        )
-        cost = 0.5 * (ca.sum1(loss) + ca.sumsqr(prior))
-        jump = ca.vertcat(*jumps)
-        limits = ca.vertcat(jump, *extra)
-        self._n_jumps = jump.shape[0]
-        zeros = np.zeros(self._n_jumps)
-        counts = [user.counts(len(record.times)) for record in shooting.records]
-        self._lower_g = np.concatenate([zeros, *(np.repeat(user.lower, one) for one in counts)])
-        self._upper_g = np.concatenate([zeros, *(np.repeat(user.upper, one) for one in counts)])
-        self._problem = {"x": scaled, "p": inverse_sigma, "f": cost, "g": limits}
-        self._options: dict[str, Any] = {}
-        if hessian == "gauss-newton":
-            jacobian = ca.jacobian(ca.vertcat(residual, prior), scaled)
-            root = ca.vertcat(ca.sqrt(weight), ca.MX.ones(prior.shape))
-            # Constraints are left out of it: linear ones have no curvature, defects are near zero.
-            rows = ca.mtimes(ca.diag(root), jacobian) if shooting.loss else jacobian
-            at = [scaled, inverse_sigma]
-            self._options["hess_lag"] = _hessian(at, limits.shape[0], ca.mtimes(rows.T, rows))
-
-    def _record(
-        self, shooting: Shooting, index: int, own: ca.MX, values: ca.MX, nodes: ca.MX
-    ) -> tuple[ca.MX, ca.MX, ca.MX]:
-        """Residuals of one record, the scaled jumps at its nodes, and the outputs."""
-        record = shooting.records[index]
-        z0 = self._graph.start(own, record.inputs[0], values, record.times[0])
-        data, steps = _samples(shooting, index)
-        n, n_nodes = data.shape[1], nodes.shape[1]
-        seen = bool(self._user.of_outputs)
-        step = _step(self._graph, int(steps.max()), bool(np.ptp(steps) > 0), seen)
-        after, residuals, outputs = step.map(n)(
-            ca.horzcat(z0, nodes), ca.repmat(values, 1, n), ca.DM(data)
-        )
-        scale = ca.repmat(ca.DM(shooting.state_scale), 1, n_nodes)
-        # In units of the states, so that one tolerance holds for metres and radians.
-        jumps = ca.vec((after[:, :n_nodes] - nodes) / scale)
-        return residuals, jumps, outputs
-
-    def solve(
-        self,
-        shooting: Shooting,
-        point: Point,
-        *,
-        max_iterations: int = 200,
-        tolerance: float = 1e-6,
-        callback: Callable[[Progress], None] | None = None,
-    ) -> Solution:
-        """Minimise with IPOPT; see :func:`~oed_sysid.likelihood.gauss_newton.solve`.
-
-        ``shooting`` may differ from the one at construction in its noise levels.
-        """
-        watcher = _Watcher(self._problem, self._n_jumps, callback) if callback else None
-        options = {**self._options, **_settings(max_iterations, tolerance)}
-        options |= {"iteration_callback": watcher} if watcher else {}
-        solver = ca.nlpsol("estimation", "ipopt", self._problem, options)
-        n_nodes = sum(nodes.size for nodes in point.nodes)
-        free = np.full(n_nodes, np.inf)
-        limits = shooting.limits
-        start = np.concatenate([point.unknowns, *(nodes.ravel() for nodes in point.nodes)])
-        result = solver(
-            x0=start / self._scale,
-            p=1.0 / shooting.sigma,
-            lbx=np.concatenate([limits.lower, -free]) / self._scale,
-            ubx=np.concatenate([limits.upper, free]) / self._scale,
-            lbg=self._lower_g,
-            ubg=self._upper_g,
-        )
-        stats = solver.stats()
-        found = np.asarray(result["x"]).ravel() * self._scale
-        reason = _REASONS.get(stats["return_status"], "stalled")
-        usable = np.isfinite(found).all()
-        now = exact(shooting, _point(shooting, found)) if usable else nowhere(shooting, point)
-        reason = reason if np.isfinite(now.cost) else "diverged"
-        return Solution(now, int(stats["iter_count"]), reason)
-
-
 # Share of a standard error by which parameters are moved for the gradient of a filter.
 NEAR = 1e-4
-
-
-def _settings(max_iterations: int, tolerance: float) -> dict[str, Any]:
-    """Options of IPOPT."""
-    return {
-        "print_time": False,
-        "error_on_fail": False,
-        "show_eval_warnings": False,
-        "ipopt.print_level": 0,
-        "ipopt.sb": "yes",
-        "ipopt.max_iter": max_iterations,
-        "ipopt.tol": min(1e-8, tolerance),
-        "ipopt.bound_relax_factor": 0.0,
-    }
 
 
 def _hessian(at: list[ca.MX], n_rows: int, matrix: ca.MX) -> ca.Function:
@@ -233,28 +88,34 @@ def _hessian(at: list[ca.MX], n_rows: int, matrix: ca.MX) -> ca.Function:
     return ca.Function("hess_lag", wanted, [ca.triu(factor * matrix)], names, upper)
 
 
-def solve_innovations(
-    problem: Filtered,
-    begin: np.ndarray,
+def solve_constrained(
+    problem: Shooting | Filtered,
+    point: Point,
     constraints: Sequence[str],
     *,
     max_iterations: int = 200,
     tolerance: float = 1e-6,
-) -> FilteredSolution:
-    """Minimise the likelihood of innovations with IPOPT.
+) -> tuple[Iterate, int, str]:
+    """Minimise within constraints with IPOPT.
 
     Parameters
     ----------
-    problem : Filtered
-    begin : ndarray (n_unknowns,)
+    problem : Shooting or Filtered
+    point : Point
+        Where to begin; only its unknowns are used.
     constraints : sequence of str
         See the head of this module.
-    max_iterations, tolerance
-        See :meth:`NonlinearProgram.solve`.
+    max_iterations : int
+        Most iterations of IPOPT.
+    tolerance : float
+        Of the scaled gradient, where that is exact.
 
     Returns
     -------
-    FilteredSolution
+    end : Iterate
+    iterations : int
+    reason : str
+        See :class:`~oed_sysid.likelihood.gauss_newton.Solution`.
     """
     user, limits = UserConstraints(problem.model, constraints), problem.limits
     scale, n = limits.scale, len(limits.scale)
@@ -273,16 +134,11 @@ def solve_innovations(
 
     def levels(scaled: np.ndarray) -> list[Any]:
         unknowns = scaled * scale
-        cost = differentiated(problem, Point(unknowns, ())).cost
-        return [cost, constrained_by(unknowns)[0]]
+        return [_at(problem, unknowns).cost, constrained_by(unknowns)[0]]
 
     def slopes(scaled: np.ndarray) -> list[Any]:
         unknowns = scaled * scale
-        base = problem.passes(unknowns, rows=True, gains=True)
-        # A program needs the slope of its cost, not the one that holds over a standard error.
-        moved = NEAR * differences(problem, problem.gathered(unknowns, base)[0], unknowns)
-        equations = problem.differentiated(unknowns, base, moved)
-        matrix, right = limits.with_priors(*equations, unknowns)
+        matrix, right = limits.with_priors(*_equations(problem, unknowns), unknowns)
         told = constrained_by(unknowns)[1] * scale
         return [-(right * scale)[None], told, matrix * scale[:, None] * scale]
 
@@ -292,20 +148,32 @@ def solve_innovations(
     f, g = cost_and_rows(x)
     gradient, jacobian, hessian = derived(x)
     at = [x, nothing]
-    options = {
-        **_settings(max_iterations, tolerance),
-        # Below, differences are rounding; where slopes are worse than that the cost stands still.
-        "ipopt.tol": 0.1 * NEAR,
-        "ipopt.acceptable_tol": 0.1,
-        "ipopt.acceptable_iter": 5,
-        "ipopt.acceptable_obj_change_tol": 1e-9,
-        "ipopt.acceptable_constr_viol_tol": 1e-8,
+    options: dict[str, Any] = {
+        "print_time": False,
+        "error_on_fail": False,
+        "show_eval_warnings": False,
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
+        "ipopt.max_iter": max_iterations,
+        "ipopt.tol": min(1e-8, tolerance),
+        "ipopt.bound_relax_factor": 0.0,
         "no_nlp_grad": True,
         "grad_f": ca.Function("g", at, [f, gradient.T], ["x", "p"], ["f", "grad_f_x"]),
         "jac_g": ca.Function("j", at, [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
         "hess_lag": _hessian(at, len(lower), hessian),
     }
+    if isinstance(problem, Filtered):
+        options |= {
+            # Below, differences are rounding; where slopes are worse than that the cost stands
+            # still.
+            "ipopt.tol": 0.1 * NEAR,
+            "ipopt.acceptable_tol": 0.1,
+            "ipopt.acceptable_iter": 5,
+            "ipopt.acceptable_obj_change_tol": 1e-9,
+            "ipopt.acceptable_constr_viol_tol": 1e-8,
+        }
     solver = ca.nlpsol("estimation", "ipopt", {"x": x, "p": nothing, "f": f, "g": g}, options)
+    begin = point.unknowns
     result = solver(
         x0=begin / scale,
         lbx=limits.lower / scale,
@@ -316,9 +184,56 @@ def solve_innovations(
     stats = solver.stats()
     found = np.clip(np.asarray(result["x"]).ravel() * scale, limits.lower, limits.upper)
     usable = bool(np.isfinite(found).all())
-    now = differentiated(problem, Point(found if usable else begin, ()))
-    reason = _REASONS.get(stats["return_status"], "stalled") if usable else "diverged"
-    return FilteredSolution(now, int(stats["iter_count"]), reason)
+    now = _at(problem, found if usable else begin)
+    reason = _REASONS.get(stats["return_status"], "stalled")
+    reason = reason if usable and np.isfinite(now.cost) else "diverged"
+    return now, int(stats["iter_count"]), reason
+
+
+def solve_within(
+    shooting: Shooting,
+    point: Point,
+    *,
+    constraints: Sequence[str],
+    max_iterations: int,
+    tolerance: float,
+    callback: Callable[[Progress], None] | None = None,
+) -> Solution:
+    """Minimise over multiple shooting, first without constraints, then within them.
+
+    Parameters
+    ----------
+    shooting, point, max_iterations, tolerance, callback
+        See :func:`oed_sysid.likelihood.gauss_newton.solve`.
+    constraints : sequence of str
+        See the head of this module.
+    """
+    most = max_iterations
+    free = solve(shooting, point, max_iterations=most, tolerance=tolerance, callback=callback)
+    if free.finite is None or free.reason == "interrupted":
+        return free
+    end, steps, reason = solve_constrained(
+        shooting, free.point, constraints, max_iterations=most, tolerance=tolerance
+    )
+    return Solution(end, free.iterations + steps, reason)
+
+
+def _at(problem: Shooting | Filtered, unknowns: np.ndarray) -> Iterate:
+    """A point of either likelihood, its trajectory continuous."""
+    if isinstance(problem, Filtered):
+        return differentiated(problem, Point(unknowns, ()))
+    return exact(problem, problem.continuous(unknowns))
+
+
+def _equations(problem: Shooting | Filtered, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Information and half the negative gradient, priors excluded."""
+    if not isinstance(problem, Filtered):
+        equations = _at(problem, unknowns).equations
+        return equations.matrix, equations.right
+    base = problem.passes(unknowns, rows=True, gains=True)
+    # A program needs the slope of its cost, not the one that holds over a standard error.
+    moved = NEAR * differences(problem, problem.gathered(unknowns, base)[0], unknowns)
+    return problem.differentiated(unknowns, base, moved)
 
 
 class _Numbers(ca.Callback):
@@ -542,83 +457,6 @@ class _Chosen(ast.NodeTransformer):
             self.places.add(_ENDS[name])
             return node.args[0]
         return node
-
-
-class _Watcher(ca.Callback):
-    """Reports IPOPT's iterations."""
-
-    def __init__(
-        self, problem: dict[str, ca.MX], n_jumps: int, report: Callable[[Progress], None]
-    ) -> None:
-        ca.Callback.__init__(self)
-        self._n_x, self._n_g = problem["x"].shape[0], problem["g"].shape[0]
-        self._n_p, self._n_jumps = problem["p"].shape[0], n_jumps
-        self._report, self._count, self._last = report, 0, np.inf
-        self.construct("watcher", {})
-
-    def get_n_in(self) -> int:
-        return ca.nlpsol_n_out()
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        sizes = {"x": self._n_x, "lam_x": self._n_x, "g": self._n_g, "lam_g": self._n_g}
-        sizes |= {"f": 1, "lam_p": self._n_p}
-        return ca.Sparsity.dense(sizes[ca.nlpsol_out(i)], 1)
-
-    def eval(self, arguments: Sequence[ca.DM]) -> list[int]:
-        cost, jumps = float(arguments[1]), np.asarray(arguments[2]).ravel()[: self._n_jumps]
-        decrement = self._last - cost
-        self._report(Progress(self._count, cost, float(np.abs(jumps).sum()), decrement))
-        self._count, self._last = self._count + 1, cost
-        return [0]
-
-
-def _step(graph: Graph, n_steps: int, uneven: bool, seen: bool) -> ca.Function:
-    """From one sample to the next: ``(z, values, data) -> (next z, weighted residuals, outputs)``.
-
-    ``data`` stacks the inputs at the start and end, time, duration, number of
-    integration steps, time since the previous sample, measurement and weight.
-    """
-    n_inputs, n_outputs = len(graph.model.inputs), len(graph.model.outputs)
-    z, values = ca.SX.sym("z", graph.n_full), ca.SX.sym("values", len(graph.model.all_parameters))
-    sizes = (n_inputs, n_inputs, 1, 1, 1, 1, n_outputs, n_outputs)
-    symbols = [ca.SX.sym(f"d{i}", size) for i, size in enumerate(sizes)]
-    begin, end, time, duration, count, since, measured, weight = symbols
-    outputs, state = graph.sample(z, begin, values, time, since)
-    h = duration / count
-    slope = ca.DM([float(linear) for linear in graph.linear_inputs]) * (end - begin) / count
-    for i in range(n_steps):
-        after = graph.advance(
-            state, begin + i * slope, begin + (i + 1) * slope, values, time + i * h, h
-        )
-        state = ca.if_else(i < count, after, state) if uneven and i else after
-    kept = outputs if seen else ca.SX(0, 1)
-    return ca.Function(
-        "step", [z, values, ca.vertcat(*symbols)], [state, weight * (measured - outputs), kept]
-    )
-
-
-def _samples(shooting: Shooting, index: int) -> tuple[np.ndarray, np.ndarray]:
-    """Data of each sample as :func:`_step` takes it, ``(n_data, n_times)``; integration steps."""
-    record, model = shooting.records[index], shooting.model
-    durations = np.diff(record.times)
-    # Nothing follows the last sample; a repeated step keeps the numbers finite.
-    ahead, since = np.append(durations, durations[-1]), np.insert(durations, 0, durations[0])
-    steps = np.maximum(1, np.ceil(ahead / model.step - 1e-9))
-    following = np.vstack([record.inputs[1:], record.inputs[-1:]])
-    present = np.isfinite(record.outputs)
-    rows = (
-        *(record.inputs.T, following.T, record.times[None], ahead[None], steps[None], since[None]),
-        *(np.where(present, record.outputs, 0.0).T, present.T.astype(float)),
-    )
-    return np.vstack(rows), steps
-
-
-def _point(shooting: Shooting, found: np.ndarray) -> Point:
-    """Split the unknowns of the program into those of the condensed problem and nodes."""
-    n, n_full, limits = shooting.layout.n_unknowns, shooting.kernel.n_full, shooting.limits
-    stops = np.cumsum([(count - 1) * n_full for count in shooting.interval_counts])[:-1]
-    nodes = (part.reshape(-1, n_full) for part in np.split(found[n:], stops))
-    return Point(np.clip(found[:n], limits.lower, limits.upper), tuple(nodes))
 
 
 # Distance of a value from its limit, in standard errors, up to which it is on it.

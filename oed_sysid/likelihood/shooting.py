@@ -34,43 +34,41 @@ from oed_sysid.likelihood.unknowns import KnownStarts, Posed, node_maps
 from oed_sysid.physics.model import Model
 
 
-def huber(residuals: Any, *, threshold: float = 1.345, functions: Any = np) -> tuple[Any, Any]:
+def huber(residuals: np.ndarray, *, threshold: float = 1.345) -> tuple[np.ndarray, np.ndarray]:
     """Huber's loss: square up to a threshold, linear beyond (Huber 1964).
 
     At 1.345 it keeps 95 % efficiency on Gaussian noise.
 
     Parameters
     ----------
-    residuals : ndarray or casadi.MX
+    residuals : ndarray
         In units of the noise.
     threshold : float
         Where the loss turns linear, in units of the noise.
-    functions : module
-        NumPy, or CasADi for its expressions.
 
     Returns
     -------
-    loss, weights : ndarray or casadi.MX
+    loss, weights : ndarray
         ``loss`` equals the square inside; ``weights`` are those of iteratively
         reweighted least squares.
     """
-    size = functions.fabs(residuals)
-    inner = functions.fmin(size, threshold)
-    return inner * (2 * size - inner), threshold / functions.fmax(size, threshold)
+    size = np.abs(residuals)
+    inner = np.fmin(size, threshold)
+    return inner * (2 * size - inner), threshold / np.fmax(size, threshold)
 
 
-def student(residuals: Any, *, freedom: float = 4.0, functions: Any = np) -> tuple[Any, Any]:
+def student(residuals: np.ndarray, *, freedom: float = 4.0) -> tuple[np.ndarray, np.ndarray]:
     """Negative log-likelihood of Student's t distribution; forgets gross outliers.
 
     Parameters
     ----------
-    residuals, functions
-        As of :func:`huber`.
+    residuals : ndarray
+        In units of the noise.
     freedom : float
         Degrees of freedom.
     """
     ratio = residuals**2 / freedom
-    return (freedom + 1) * functions.log1p(ratio), (1 + 1 / freedom) / (1 + ratio)
+    return (freedom + 1) * np.log1p(ratio), (1 + 1 / freedom) / (1 + ratio)
 
 
 # Spikes that "auto" leaves out count nothing; the others are squared.
@@ -89,7 +87,7 @@ def loss_by_name(name: str) -> Loss | None:
     return _LOSSES[name]
 
 
-Loss = Callable[..., tuple[Any, Any]]
+Loss = Callable[..., tuple[np.ndarray, np.ndarray]]
 # How nodes follow a step of the unknowns, and what closes their defects, per record.
 Follows = tuple[Any, ...]
 
