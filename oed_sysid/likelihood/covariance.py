@@ -187,10 +187,10 @@ class Scores:
         rows = rows * lost[:, None]
         return np.asarray(each.T @ each + np.einsum("tip,tij,tjq->pq", rows, taken, rows))
 
-    def white(self) -> np.ndarray:
-        """Covariance of the summed scores of all series, were their errors white."""
-        n_shared = self.jacobians[0].shape[2]
-        flat = [self.jacobians[index].reshape(-1, n_shared) for index in self.series]
+    def white(self, size: np.ndarray | float = 1.0) -> np.ndarray:
+        """Covariance of the summed scores of all series, were their errors white of some size."""
+        n_shared, size = self.jacobians[0].shape[2], np.atleast_1d(size)[:, None]
+        flat = [(self.jacobians[index] * size).reshape(-1, n_shared) for index in self.series]
         return sum((one.T @ one for one in flat), np.zeros((n_shared, n_shared)))
 
     def coloured(self, memory: float | None = None) -> np.ndarray:
@@ -209,11 +209,111 @@ class Scores:
         return middle
 
 
-class ReducedProblem:
-    """Jacobian of the shared parameters, with everything else projected out.
+class Reduced:
+    """One-step errors by the shared parameters, with everything else projected out.
 
     Initial states and per-record parameters are unknown too; what the data
     say about the shared parameters is what these cannot explain away.
+
+    Parameters
+    ----------
+    problem : Posed
+    unknowns : ndarray (n_unknowns,)
+        The optimum.
+    jacobians : sequence of ndarray (n_times, n_outputs, n_own + n_free)
+        Derivatives of the model's outputs by the unknowns of a record, in standard deviations of
+        the errors, zero where nothing was measured.
+    errors : sequence of ndarray (n_times, n_outputs)
+        In that unit, as the loss lets them count.
+    gain : ndarray (n_outputs,)
+        Slope of the errors as they count: 1 for least squares, less for robust losses.
+
+    Attributes
+    ----------
+    rows : list of ndarray (n_times * n_outputs, n_shared)
+        Whitened and reduced Jacobian, per record; zero where nothing was measured.
+    prior_rows : list of ndarray (n_rows, n_shared)
+        What priors add.
+    pull : ndarray (n_shared,)
+        Score of the priors.
+    told : Scores
+    information : Information
+        Of the shared parameters, as if errors were white.
+    """
+
+    information: Information
+
+    def __init__(
+        self,
+        problem: Posed,
+        unknowns: np.ndarray,
+        jacobians: Sequence[np.ndarray],
+        errors: Sequence[np.ndarray],
+        gain: np.ndarray,
+    ) -> None:
+        self.problem = problem
+        layout, limits = problem.layout, problem.limits
+        n_shared, keep = len(layout.shared), layout.n_own + layout.shared
+        # Derivatives by values, of parameters whose logarithm is unknown too.
+        self._slopes = layout.shared_values(unknowns)[1]
+        weight = np.sqrt(limits.prior_weight)
+        away = weight * (limits.prior_mean - unknowns)
+        shared = np.diag(weight[:n_shared] / self._slopes)
+        self.rows, self.prior_rows, self.pull = [], [shared], shared @ away[:n_shared]
+        for index, jacobian in enumerate(jacobians):
+            flat = (jacobian * np.sqrt(gain)[:, None]).reshape(-1, jacobian.shape[2])
+            columns = layout.record_columns(index)
+            # What is held explains nothing away.
+            drop = layout.own[~limits.held[columns[layout.own]]]
+            # Priors are rows like measurements; the shared parameters do not enter them.
+            inner = np.vstack([flat[:, drop], np.diag(weight[columns[drop]])])
+            outer = np.vstack([flat[:, keep] / self._slopes, np.zeros((len(drop), n_shared))])
+            reduced = project_out(inner, outer)
+            self.rows.append(reduced[: len(flat)])
+            self.prior_rows.append(reduced[len(flat) :])
+            self.pull = self.pull + self.prior_rows[-1].T @ away[columns[drop]]
+        # Errors count once with the slope of a robust loss, not twice.
+        apart = [
+            rows.reshape(*error.shape, n_shared) / np.sqrt(gain)[:, None]
+            for rows, error in zip(self.rows, errors, strict=True)
+        ]
+        self.told = Scores(problem.records, apart, list(errors))
+
+    @property
+    def prior(self) -> np.ndarray:
+        """Information of what is known before, ``(n_shared, n_shared)``."""
+        return np.asarray(sum(rows.T @ rows for rows in self.prior_rows))
+
+    def sandwich(self, series: np.ndarray, *, scattered: bool) -> np.ndarray:
+        """Covariance ``H^-1 B H^-1`` of the shared parameters.
+
+        Parameters
+        ----------
+        series : ndarray (n_shared, n_shared)
+            Covariance of the summed scores of all series.
+        scattered : bool
+            Take that of independent tests from their own residuals.
+        """
+        white = self.information.covariance
+        return sandwich(white, series + self.told.of_tests(white, scattered=scattered) + self.prior)
+
+    @property
+    def sources(self) -> Sources | None:
+        """What priors and each record say of the shared parameters; None without any."""
+        pairs = zip(self.told.jacobians, self.told.errors, strict=True)
+        scores = [np.einsum("tip,ti->p", own, np.nan_to_num(errors)) for own, errors in pairs]
+        matrices = [rows.T @ rows for rows in self.rows]
+        return sources_of(
+            matrices, scores, self.prior, self.problem.records, gradient=self.gradient(scores)
+        )
+
+    def gradient(self, scores: Sequence[np.ndarray]) -> np.ndarray:
+        """Slope of the whole, ``(n_shared,)``, with those of the records; zero at an optimum."""
+        return np.zeros(len(self._slopes))
+
+
+class ReducedProblem(Reduced):
+    """Residuals of least squares.
 
     Parameters
     ----------
@@ -223,57 +323,19 @@ class ReducedProblem:
         At the optimum.
     unknowns : ndarray (n_unknowns,)
         The optimum.
-
-    Attributes
-    ----------
-    rows : list of ndarray (n_times * n_outputs, n_shared)
-        Whitened and reduced Jacobian, per record; zero where nothing was measured.
-    told : Scores
-        Of the residuals, as the loss lets them count.
-    prior_rows : list of ndarray (n_rows, n_shared)
-        What priors add.
-    gain : ndarray (n_outputs,)
-        Slope of the scores: 1 for least squares, less for robust losses.
     """
 
     def __init__(self, shooting: Shooting, lin: Linearisation, unknowns: np.ndarray) -> None:
         self.shooting = shooting
-        layout = shooting.layout
-        n_shared = len(layout.shared)
         residuals = [residual / shooting.sigma for residual in lin.residuals]
-        scores, self.gain = _scores(residuals, shooting.loss)
-        keep = layout.n_own + layout.shared
-        # Derivatives by values, of parameters whose logarithm is unknown too.
-        self._slopes = layout.shared_values(unknowns)[1]
-        self.rows, self.prior_rows, jacobians = [], [], []
-        for index, residual in enumerate(residuals):
-            present = np.isfinite(residual)
-            weight = present * np.sqrt(self.gain) / shooting.sigma
-            jacobian = lin.jacobians[index] * weight[:, :, None]
-            flat = jacobian.reshape(-1, jacobian.shape[2])
-            columns = layout.record_columns(index)
-            # What is held explains nothing away.
-            drop = layout.own[~shooting.limits.held[columns[layout.own]]]
-            prior = np.sqrt(shooting.limits.prior_weight[columns[drop]])
-            # Priors are rows like measurements; the shared parameters do not enter them.
-            inner = np.vstack([flat[:, drop], np.diag(prior)])
-            outer = np.vstack([flat[:, keep] / self._slopes, np.zeros((len(drop), n_shared))])
-            reduced = project_out(inner, outer)
-            self.rows.append(reduced[: len(flat)])
-            self.prior_rows.append(reduced[len(flat) :])
-            # Residuals count once with the slope of a robust loss, not twice.
-            apart = self.rows[-1].reshape(*residual.shape, n_shared)
-            jacobians.append(apart / np.sqrt(self.gain)[:, None])
-        own = np.sqrt(shooting.limits.prior_weight[:n_shared])
-        self.prior_rows.append(np.diag(own / self._slopes))
-        self.told = Scores(shooting.records, jacobians, scores)
-
-    @property
-    def information(self) -> Information:
-        """Information of the shared parameters, as if residuals were white."""
-        scales = self.shooting.limits.scale[: len(self._slopes)] * self._slopes
+        jacobians = [
+            jacobian * (np.isfinite(residual) / shooting.sigma)[:, :, None]
+            for jacobian, residual in zip(lin.jacobians, residuals, strict=True)
+        ]
+        super().__init__(shooting, unknowns, jacobians, *_scores(residuals, shooting.loss))
+        scales = shooting.limits.scale[: len(self._slopes)] * self._slopes
         jacobian = np.vstack([*self.rows, *self.prior_rows])
-        return Information.from_jacobian(self.shooting.layout.shared_names, jacobian, scales)
+        self.information = Information.from_jacobian(shooting.layout.shared_names, jacobian, scales)
 
     def errors(self, coloured: str, *, weighed: bool) -> Errors:
         """Errors of the shared parameters; of white residuals where they are not ``weighed``.
@@ -285,25 +347,15 @@ class ReducedProblem:
         weighed : bool
         """
         information, told = self.information, self.told
-        white = covariance = information.covariance
-        use, scattered = (asks(coloured, one) for one in (self.is_coloured, told.stray(white)))
-        if ((use or scattered) and weighed) or self.shooting.loss is not None:
-            covariance = self.sandwich(white, coloured=use, scattered=scattered)
+        covariance, robust = information.covariance, self.shooting.loss is not None
+        use, scattered = (
+            asks(coloured, one) for one in (self.is_coloured, told.stray(information.covariance))
+        )
+        # Where every parameter is known, initial states alone were estimated.
+        if len(covariance) and (((use or scattered) and weighed) or robust):
+            covariance = self.sandwich(self._of_series(coloured=use), scattered=scattered)
         scattered = scattered and len(told.series) < len(told.records)
         return Errors(information, covariance, self.sources, use, scattered)
-
-    @property
-    def sources(self) -> Sources | None:
-        """What priors and each record say of the shared parameters; None without any."""
-        pairs = zip(self.told.jacobians, self.told.errors, strict=True)
-        scores = [np.einsum("tip,ti->p", own, np.nan_to_num(errors)) for own, errors in pairs]
-        matrices = [rows.T @ rows for rows in self.rows]
-        return sources_of(matrices, scores, self._prior, self.shooting.records)
-
-    @property
-    def _prior(self) -> np.ndarray:
-        """Information of what is known before, ``(n_shared, n_shared)``."""
-        return np.asarray(sum(rows.T @ rows for rows in self.prior_rows))
 
     @property
     def is_coloured(self) -> bool:
@@ -324,38 +376,15 @@ class ReducedProblem:
         # n / (n - p) of least squares, with independent samples for n.
         return min(count / max(count - self.shooting.n_unknowns, 1.0), MOST_LOST)
 
-    def sandwich(self, white: np.ndarray, *, coloured: bool, scattered: bool = False) -> np.ndarray:
-        """Covariance ``H^-1 B H^-1`` of the shared parameters.
-
-        Parameters
-        ----------
-        white : ndarray (n_shared, n_shared)
-            ``H^-1``, infinite on the diagonal where nothing is seen.
-        coloured : bool
-            Take ``B`` from the residuals' own colour; otherwise from their
-            variance alone, which differs from ``H`` for robust losses.
-        scattered : bool
-            Take the part of independent tests from their own residuals.
-
-        Returns
-        -------
-        ndarray (n_shared, n_shared)
-        """
-        if white.size == 0:  # every parameter is known; initial states alone were estimated
-            return white
-        told, robust = self.told, self.shooting.loss is not None
+    def _of_series(self, *, coloured: bool) -> np.ndarray:
+        """Covariance of the summed scores of series, which robust losses leave smaller than H."""
         if coloured:
             # Long-run variance of the scores (Newey & West 1987).
-            middle = told.coloured() * self._lost_freedom
-        elif robust:
-            size = np.sqrt(np.nanmean(np.vstack(told.errors) ** 2, axis=0))
-            flat = np.vstack([(j * size[:, None]).reshape(-1, len(white)) for j in told.jacobians])
-            middle = flat.T @ flat * self._lost_freedom
-        else:
-            middle = told.white()
-        if coloured or not robust:
-            middle += told.of_tests(white, scattered=scattered)
-        return sandwich(white, middle + self._prior)
+            return self.told.coloured() * self._lost_freedom
+        if self.shooting.loss is None:
+            return self.told.white()
+        size = np.sqrt(np.nanmean(np.vstack(self.told.errors) ** 2, axis=0))
+        return self.told.white(size) * self._lost_freedom
 
 
 def is_coloured(residuals: Sequence[np.ndarray]) -> bool:
@@ -541,12 +570,14 @@ def onto_shared(
     return onto / layout.shared_values(unknowns)[1][:, None], own
 
 
-class ReducedFilter:
-    r"""What innovations say of the shared parameters, everything else estimated along.
+class ReducedFilter(Reduced):
+    r"""Innovations of a filter.
 
     With the information ``H`` of all unknowns, start states, per-record parameters and levels ``o``
     are eliminated from that of the shared parameters ``p``,
-    :math:`H_{pp} - H_{po} H_{oo}^{-1} H_{op}`.
+    :math:`H_{pp} - H_{po} H_{oo}^{-1} H_{op}`. Derivatives of innovations are those at frozen gain;
+    in them levels of the noise are taken as they are, as mean and variance of an innovation are
+    estimated independently of one another.
 
     Parameters
     ----------
@@ -561,57 +592,47 @@ class ReducedFilter:
     passes : list of FilterPass
     std : list of ndarray (n_times, n_outputs)
         Standard deviations of the innovations, per record.
-    information : Information
-        Of the shared parameters.
     """
 
     def __init__(self, problem: Filtered, unknowns: np.ndarray, matrix: np.ndarray) -> None:
-        self.problem, self.unknowns = problem, unknowns
+        self.filtered, self.unknowns = problem, unknowns
         layout, limits = problem.layout, problem.limits
         self._matrix = matrix + np.diag(limits.prior_weight)
         shared = np.arange(len(layout.shared))
-        self._slopes = layout.shared_values(unknowns)[1]
-        others = problem.open_unknowns(len(shared))
-        # H_po H_oo^-1 in the columns of all unknowns, zero where one is not estimated.
-        self._share = np.zeros((len(shared), len(matrix)))
-        self._share[:, others] = share_of(self._matrix, shared, others)
-        reduced = (np.eye(*self._share.shape) - self._share) @ self._matrix[:, shared]
-        scales = limits.scale[shared] * self._slopes
-        self.information = Information.from_matrix(
-            layout.shared_names, self._by_values(reduced), scales
-        )
-        # Derivatives serve the comparison of records alone.
-        self.passes = problem.passes(unknowns, columns=len(shared) > 0)
+        self.passes = problem.passes(unknowns, rows=True)
         self.std = [np.sqrt(np.maximum(part.variances, 1e-300)) for part in self.passes]
+        jacobians, errors = [], []
+        for index, part in enumerate(self.passes):
+            assert part.rows is not None
+            size = layout.record_slopes(unknowns, index)
+            seen = np.isfinite(part.innovations)[..., None]
+            # An innovation falls where the output rises; a gap says nothing.
+            jacobians.append(np.where(seen, -part.rows[..., : len(size)] * size, 0.0))
+            errors.append(part.innovations / self.std[index])
+        super().__init__(problem, unknowns, jacobians, errors, np.ones(len(problem.model.outputs)))
+        reduced = eliminate(self._matrix, shared, problem.open_unknowns(len(shared)))
+        by_values = reduced / self._slopes[:, None] / self._slopes
+        scales = limits.scale[shared] * self._slopes
+        self.information = Information.from_matrix(layout.shared_names, by_values, scales)
 
-    def _by_values(self, matrix: np.ndarray) -> np.ndarray:
-        """Information by values, of parameters whose logarithm is unknown too."""
-        return np.asarray(matrix / self._slopes[:, None] / self._slopes)
+    @property
+    def prior(self) -> np.ndarray:
+        """Information of what is known before, ``(n_shared, n_shared)``."""
+        joint = self.filtered.knowledge.information / self._slopes[:, None] / self._slopes
+        return super().prior + joint
+
+    def gradient(self, scores: Sequence[np.ndarray]) -> np.ndarray:
+        """Slope of the whole; scores are approximate, so that it is not zero."""
+        return np.asarray(self.pull + np.sum(scores, axis=0))
 
     @cached_property
     def peaks(self) -> list[Peak]:
         """Outputs whose innovations oscillate with a period of their own."""
         whitened = [
-            np.full(one.shape, np.nan) if record.independent else part.innovations / one
-            for record, part, one in zip(self.problem.records, self.passes, self.std, strict=True)
+            np.full(one.shape, np.nan) if record.independent else one
+            for record, one in zip(self.told.records, self.told.errors, strict=True)
         ]
-        return clear_peaks(whitened, self.problem.records, self.problem.model.output_names)
-
-    @cached_property
-    def told(self) -> Scores:
-        """Derivatives of innovations by the shared parameters, all else estimated along."""
-        layout, jacobians, scores = self.problem.layout, [], []
-        onto = (np.eye(*self._share.shape) - self._share).T / self._slopes
-        for index, part in enumerate(self.problem.passes(self.unknowns, rows=True)):
-            columns = layout.record_columns(index)
-            assert part.rows is not None
-            size = layout.record_slopes(self.unknowns, index)
-            jacobian = part.rows[..., : len(columns)] @ (size[:, None] * onto[columns])
-            # A gap says nothing: its row is one of zeros.
-            jacobian[~np.isfinite(part.innovations)] = 0.0
-            jacobians.append(jacobian)
-            scores.append(part.innovations / np.sqrt(part.variances))
-        return Scores(self.problem.records, jacobians, scores)
+        return clear_peaks(whitened, self.told.records, self.filtered.model.output_names)
 
     def errors(self, coloured: str) -> Errors:
         """Errors of the shared parameters.
@@ -621,71 +642,28 @@ class ReducedFilter:
         coloured : str
             ``"never"`` to hold what independent tests scatter beyond what was declared.
         """
-        white = covariance = self.information.covariance
-        if self.peaks:
-            covariance = self._widened(max(peak.period for peak in self.peaks))
-        scattered = coloured != "never" and any(one.independent for one in self.problem.records)
-        if scattered := scattered and self.told.stray(white):
-            more = self.told.of_tests(white, scattered=True)
-            more -= self.told.of_tests(white, scattered=False)
-            seen = np.where(np.isfinite(white), white, 0.0)
-            covariance = covariance + seen @ more @ seen
+        covariance, told = self.information.covariance, self.told
+        tests = len(told.series) < len(told.records)
+        scattered = tests and coloured != "never" and told.stray(covariance)
+        if len(covariance) and (self.peaks or scattered):
+            # Over several periods of what innovations remember.
+            longest = 25.0 * max((peak.period for peak in self.peaks), default=0.0)
+            series = told.coloured(longest) if self.peaks else told.white()
+            covariance = self._no_less(self.sandwich(series, scattered=scattered))
         return Errors(self.information, covariance, self.sources, bool(self.peaks), scattered)
 
-    def _widened(self, period: float) -> np.ndarray:
-        """Covariance where innovations oscillate with a period, never below that of white ones."""
-        white, share = self.information.covariance, self._share
-        if not np.isfinite(np.diag(white)).any():
-            return white
-        weight = self.problem.limits.prior_weight
-        middle = np.diag(weight[: len(share)]) + (share * weight) @ share.T
-        middle = self._by_values(middle + self.problem.knowledge.information) + self.told.coloured(
-            25.0 * period
-        )
-        middle += self.told.of_tests(white, scattered=False)
-        robust = sandwich(white, middle)
-        least, found = np.diag(white), np.diag(robust)
+    def _no_less(self, robust: np.ndarray) -> np.ndarray:
+        """A covariance, nowhere below that of white innovations."""
+        least, found = np.diag(self.information.covariance), np.diag(robust)
         ratio = np.where(np.isfinite(least), least, 0.0) / np.where(found > 0, found, np.inf)
         grow = np.sqrt(np.maximum(1.0, ratio))
         return robust * grow[:, None] * grow
 
     @property
-    def sources(self) -> Sources | None:
-        """What priors and each record say of the shared parameters.
-
-        Derivatives are those at frozen gain; levels of the noise are taken as they are, as mean and
-        variance of an innovation are estimated independently of one another.
-        """
-        limits, n_shared = self.problem.limits, len(self._slopes)
-        each = [self._of_record(index) for index in range(len(self.passes))]
-        matrices, scores = zip(*each, strict=True)
-        weight = limits.prior_weight[:n_shared]
-        prior = self._by_values(np.diag(weight) + self.problem.knowledge.information)
-        away = limits.prior_mean[:n_shared] - self.unknowns[:n_shared]
-        gradient = weight * away / self._slopes + np.sum(scores, axis=0)
-        return sources_of(matrices, scores, prior, self.problem.records, gradient=gradient)
-
-    def _of_record(self, index: int) -> tuple[np.ndarray, np.ndarray]:
-        """Information and score of the shared parameters from one record.
-
-        Its start states and own parameters are estimated along; levels of the noise are as they
-        are.
-        """
-        limits, part = self.problem.limits, self.passes[index]
-        columns = self.problem.layout.record_columns(index)
-        size, width = self.problem.layout.record_slopes(self.unknowns, index), len(columns)
-        matrix = part.gram[:width, :width] * size[:, None] * size
-        onto, own = onto_shared(self.problem, self.unknowns, index, matrix)
-        away = limits.prior_mean[columns[own]] - self.unknowns[columns[own]]
-        right = -part.gram[:width, -1] * size
-        right[own] += limits.prior_weight[columns[own]] * away
-        return onto @ matrix @ onto.T, onto @ right
-
-    @property
     def level_errors(self) -> dict[str, float]:
         """Standard errors of levels, relative, and of the logarithms of times."""
-        levels, block = self.problem.levels, self.problem.layout.levels
-        others = self.problem.open_unknowns(0)
+        levels, block = self.filtered.levels, self.filtered.layout.levels
+        others = self.filtered.open_unknowns(0)
         where = np.arange(block.start, block.stop)
         reduced = eliminate(self._matrix, where, others[others < block.start])
         variances = np.maximum(np.diag(inverse_of(reduced)), 0.0)
