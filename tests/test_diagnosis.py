@@ -28,7 +28,6 @@ from oed_sysid.evidence.compare import Comparison, compare, forecasts
 from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.locate import locate
-from oed_sysid.evidence.misfit import Signal, concentrations, correlate, regimes
 from oed_sysid.evidence.propose import Signal as Cause
 from oed_sysid.evidence.propose import Signals, Term, TermScores, propose, terms
 from oed_sysid.evidence.rank import Ranking, rank
@@ -128,60 +127,6 @@ def test_a_model_that_diverges_is_a_verdict_not_a_crash() -> None:
     assert found[0].relative == np.inf
     assert "diverges" in found.verdict
     assert found.report()
-
-
-def test_correlation_finds_signal_and_lag() -> None:
-    """A residual that repeats a signal 1.4 s later is correlated with it at that lag."""
-    rng = np.random.default_rng(0)
-    t = np.arange(0.0, 80.0, 0.2)
-    series = np.convolve(rng.standard_normal(len(t) + 9), np.ones(10) / 10, "valid")
-    residual = 0.5 * np.roll(series, 7) + 0.1 * rng.standard_normal(len(t))
-    found = correlate([residual], Signal("u", "m/s", "", (series,), False), [t])
-    assert found is not None
-    assert found.lag == pytest.approx(1.4)
-    assert found.is_clear
-    assert found.value > 0.7
-
-
-def test_chance_correlations_are_not_clear() -> None:
-    """Coloured series that have nothing to do with each other rarely look related."""
-    rng = np.random.default_rng(1)
-    t = np.arange(0.0, 60.0, 0.2)
-    smooth = np.ones(20) / 20
-    false = 0
-    for _ in range(60):
-        a, b = (np.convolve(rng.standard_normal(len(t) + 19), smooth, "valid") for _ in range(2))
-        found = correlate([a], Signal("u", "", "", (b,), False), [t])
-        assert found is not None
-        false += found.is_clear
-    assert false <= 1
-
-
-def test_regimes_point_at_the_part_that_is_wrong() -> None:
-    """Noise that grows while a rate is large is located there; even noise nowhere."""
-    rng = np.random.default_rng(2)
-    t = np.arange(0.0, 200.0, 0.1)
-    rate = np.sin(2 * np.pi * t / 23.0)
-    signal = Signal("q", "rad/s", "pitch rate", (rate,), False)
-    parts = regimes([signal], [t])
-    uneven = rng.standard_normal(len(t)) * np.where(np.abs(rate) > 0.8, 3.0, 1.0)
-    first = concentrations([uneven], parts)[0]
-    assert first.is_clear
-    assert first.words == "while pitch rate q is large (above 0.86 rad/s)"
-    assert first.share_of_misfit > 2 * first.share_of_time
-    assert not concentrations([rng.standard_normal(len(t))], parts)[0].is_clear
-
-
-def test_seconds_after_a_command_are_a_regime() -> None:
-    """Misfit after steps of an input is attributed to these seconds."""
-    rng = np.random.default_rng(3)
-    t = np.arange(0.0, 200.0, 0.1)
-    step = np.sign(np.sin(2 * np.pi * t / 40.0))
-    since = t % 20.0
-    signal = Signal("rudder", "rad", "rudder", (step,), True)
-    residual = rng.standard_normal(len(t)) + 4.0 * np.exp(-since)
-    first = concentrations([residual], regimes([signal], [t]))[0]
-    assert first.words == "in the 2 s after rudder changes"
 
 
 def test_empty_comparisons_are_refused() -> None:

@@ -9,7 +9,7 @@ of the sensors, disturbance forces, or structure.
 =============================== ===========================================================
 module                          question
 =============================== ===========================================================
-``compare``                     how far are models from records: where, when, in which regime
+``compare``                     how far are models from records: where and when
 ``frequency``                   over which band of frequencies they hold
 ``preparation``                 what a search reads of the records
 ``study``                       what stays the same while models are compared

@@ -6,7 +6,7 @@ probability :math:`\alpha` altogether. Of :math:`m` questions, each a chi-square
 
 .. math:: \chi^{2,-1}_k(1 - \alpha / m)
 
-(Bonferroni); a score of one freedom where it exceeds the root of that.
+(Bonferroni).
 """
 
 from __future__ import annotations
@@ -32,14 +32,3 @@ def threshold(
     13.4
     """
     return float(chdtri(freedom, share / (max(n_candidates, 1) * max(trials, 1.0))))
-
-
-def clear_score(n_questions: int) -> float:
-    """Standard errors from zero that none of so many scores has by chance.
-
-    Examples
-    --------
-    >>> round(clear_score(30), 1)
-    3.6
-    """
-    return float(threshold(n_questions, 1) ** 0.5)

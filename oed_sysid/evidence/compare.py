@@ -11,7 +11,7 @@ the equations get wrong.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.data.dataset import Dataset, Record, check_disjoint
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.locate import Located, likeliest, locate
-from oed_sysid.evidence.misfit import OutputMisfit, Signal, output_misfit, regimes
+from oed_sysid.evidence.misfit import OutputMisfit, output_misfit
 from oed_sysid.evidence.rank import Ranking, rank
 from oed_sysid.evidence.result import LogCheck
 from oed_sysid.evidence.study import Study, total_error
@@ -36,7 +36,6 @@ from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.start_guess import VAGUE, check_channels
 from oed_sysid.likelihood.windows import HELD, Part, Windows
 from oed_sysid.physics import Effect
-from oed_sysid.physics.channels import Input, State
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime import display
 from oed_sysid.runtime.threads import single_threaded
@@ -327,8 +326,6 @@ def _misfit(
     own = item.noise if isinstance(item, Fit) else None
     noise = sigma if own is None or own.is_white else own
     prediction = predict(model, dataset, covariance, noise, initial=initial)
-    signals = _signals(model, dataset, prediction)
-    parts = regimes(signals, [r.times for r in dataset], in_time=not dataset.only_tests)
     inside = [
         np.abs(residual) <= display.TWO_SIDED_95 * std
         for residual, std in zip(prediction.residuals, prediction.std, strict=True)
@@ -340,11 +337,10 @@ def _misfit(
 
     outputs = tuple(
         output_misfit(
-            output, of(residuals, column), float(sigma[column]), of(inside, column), dataset,
-            signals, parts, horizon,
+            output, of(residuals, column), float(level), of(inside, column), dataset, horizon
         )
-        for column, output in enumerate(model.outputs)
-    )  # fmt: skip
+        for column, (output, level) in enumerate(zip(model.outputs, sigma, strict=True))
+    )
     ahead = forecasts(model, dataset, sigma, horizon=horizon, local=prediction.local_values)
     return ModelMisfit(label, model, prediction, outputs, ahead)
 
@@ -357,32 +353,6 @@ def _distance(record: Record, predicted: np.ndarray) -> np.ndarray:
     """Residuals; infinite where there is a measurement but no prediction."""
     lost = np.isfinite(record.outputs) & ~np.isfinite(predicted)
     return np.where(lost, np.inf, record.residuals(predicted))
-
-
-def _signals(model: Model, dataset: Dataset, prediction: Prediction) -> list[Signal]:
-    """Inputs and own states, as far as they are finite; of independent tests what was given."""
-    inputs = [record.inputs for record in dataset]
-    states = [] if dataset.only_tests else [*_runs(model, dataset, prediction)]
-    channels: list[tuple[Input | State, list[np.ndarray], int]] = [
-        *((one, inputs, i) for i, one in enumerate(model.inputs)),
-        *((one, states, i) for i, one in enumerate(model.states if states else ())),
-    ]
-    found = (
-        Signal(one.name, one.unit, one.label, tuple(run[:, i] for run in runs), runs is inputs)
-        for one, runs, i in channels
-    )
-    return [one for one in found if np.isfinite(np.concatenate(one.series)).all()]
-
-
-def _runs(model: Model, dataset: Dataset, prediction: Prediction) -> Iterator[np.ndarray]:
-    """States of a prediction along every record, ``(n_times, n_full)``."""
-    compiled = kernel(model)
-    pairs = zip(prediction.initial_states, prediction.local_values, strict=True)
-    for record, (initial, local) in zip(dataset, pairs, strict=True):
-        values = model.with_values(local).value_vector
-        own = np.array([initial[name] for name in model.state_names])
-        z0, _ = compiled.start(own, record.inputs[0], values, record.times[0])
-        yield compiled.run(record.times, record.inputs, values, z0).states
 
 
 def _levels(given: Sequence[Fit | Model], dataset: Dataset) -> tuple[np.ndarray, tuple[str, ...]]:
