@@ -35,6 +35,7 @@ from typing import TypeVar
 import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, Run, by_unknowns, kernel
+from oed_sysid.data.record import Record
 from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate
 from oed_sysid.likelihood.information import COLOUR_LIMIT
 from oed_sysid.likelihood.projection import project_out, score_beside
@@ -44,6 +45,13 @@ Departed = TypeVar("Departed", Departure, ActuatorStart)
 # Standard errors from which a departure counts: one output in 10^5 by chance; and those from which
 # one value is not another, or a signal is no noise.
 CLEAR, CLEARLY = 4.5, 3.0
+# What a unit of each departure adds to outputs ``(n_times, n)`` at some times, s. An output that is
+# late shows what was: y(t - d) = y(t) - d y'(t).
+SHAPES: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
+    "late": lambda outputs, times: -np.gradient(outputs, times, axis=0),
+    "off": lambda outputs, _: np.ones_like(outputs),
+    "scale": lambda outputs, _: outputs,
+}
 # Share of the misfit beyond noise that a departure must explain where residuals are coloured.
 WORTH_A_WORD = 0.3
 
@@ -149,11 +157,10 @@ def estimate_departures(fit: Estimate) -> tuple[Departure, ...]:
     See the equations above; residuals that are coloured enlarge the standard errors by the root
     of the ratio of all to independent samples, those larger than declared by their misfit.
     """
-    kinds = ("late", "off", "scale")
-    signals = [(name, kind) for kind in kinds for name in fit.model.output_names]
+    signals = [(name, kind) for kind in SHAPES for name in fit.model.output_names]
     signals += [(name, "acts late") for name in fit.model.input_names]
     own = _slowness(fit)
-    slow = [*own * 3, *[max(own)] * len(fit.model.input_names)]
+    slow = [*own * len(SHAPES), *[max(own)] * len(fit.model.input_names)]
     parts = _evidence(fit, partial(_departed, fit), fewest=3)
     return tuple(
         Departure(*signals[one.column], one.size, slow[one.column] * one.std, one.gain, one.share)
@@ -169,23 +176,23 @@ def _slowness(fit: Estimate) -> list[float]:
 
 def _departed(fit: Estimate, index: int, run: Run, _: np.ndarray) -> np.ndarray:
     """Derivatives of a record's outputs by delay, zero and scale of each, and by late inputs."""
-    record, n = fit.dataset[index], len(fit.model.outputs)
-    columns = np.zeros((*run.outputs.shape, 3 * n + len(fit.model.inputs)))
-    each = np.arange(n)
-    # y(t - d) = y(t) - d y'(t): an output that is late shows what was.
-    columns[:, each, each] = -np.gradient(run.outputs, record.times, axis=0)
-    columns[:, each, n + each] = 1.0
-    columns[:, each, 2 * n + each] = run.outputs
-    shift = record.sample_time
+    record, shift = fit.dataset[index], fit.dataset[index].sample_time
+    eye = np.eye(len(fit.model.outputs))
+    columns = [eye * shape(run.outputs, record.times)[:, :, None] for shape in SHAPES.values()]
     for column in range(len(fit.model.inputs)):
-        moved = record.inputs.copy()
-        moved[:, column] = np.interp(record.times - shift, record.times, record.inputs[:, column])
-        if not np.array_equal(moved, record.inputs):
-            # Commands are steps, without derivatives: the difference of two runs takes their
-            # place.
-            after = outputs_of(fit, index, moved)
-            columns[:, :, 3 * n + column] = (after - run.outputs) / shift
-    return columns
+        moved = acting_late(record, column, shift).inputs
+        # Commands are steps, without derivatives: the difference of two runs takes their place.
+        still = np.array_equal(moved, record.inputs)
+        after = run.outputs if still else outputs_of(fit, index, moved)
+        columns.append((after - run.outputs)[:, :, None] / shift)
+    return np.concatenate(columns, axis=2)
+
+
+def acting_late(record: Record, column: int, by: float) -> Record:
+    """A record in which one input acts later by some seconds."""
+    inputs = record.inputs.copy()
+    inputs[:, column] = np.interp(record.times - by, record.times, inputs[:, column])
+    return record.with_inputs(inputs)
 
 
 def _clear(fit: Estimate, found: Sequence[Departed]) -> list[Departed]:

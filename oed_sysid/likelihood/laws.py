@@ -44,6 +44,7 @@ from oed_sysid.compiled.filtering import FilterPass, filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.errors import SimulationError
+from oed_sysid.likelihood.departures import SHAPES, acting_late
 from oed_sysid.likelihood.disturbances import DISTURBANCE, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import Departure, Estimate, once_a_fit
@@ -177,27 +178,20 @@ def asked_beside(fit: Estimate, found: Departure) -> Departure:
 
 def _spoilt(fit: Estimate, found: Departure, parts: Sequence[FilterPass]) -> tuple[Dataset, float]:
     """Records with some more of a departure undone, and how much that is."""
-    records, unit = [], 1.0
     if found.kind == "acts late":
         column = fit.model.input_names.index(found.signal)
         # Commands are steps: less than a sample would move nothing.
         unit = min(record.sample_time for record in fit.dataset)
-        for record in fit.dataset:
-            inputs = record.inputs.copy()
-            inputs[:, column] = np.interp(record.times - unit, record.times, inputs[:, column])
-            records.append(replace(record, inputs=inputs))
-        return Dataset(tuple(records)), unit
-    column = fit.model.output_names.index(found.signal)
+        return Dataset(tuple(acting_late(one, column, unit) for one in fit.dataset)), unit
+    column, records = fit.model.output_names.index(found.signal), []
     for record, part in zip(fit.dataset, parts, strict=True):
         outputs = record.outputs.copy()
         seen = np.isfinite(outputs[:, column]) & (not record.independent)
-        expected = (outputs - part.innovations)[seen, column]
-        if found.kind == "late" and seen.sum() > 1:
-            outputs[seen, column] += np.gradient(expected, record.times[seen])
-        elif found.kind != "late":
-            outputs[seen, column] -= expected if found.kind == "scale" else 1.0
+        if seen.sum() > 1:
+            expected = (outputs - part.innovations)[seen, column]
+            outputs[seen, column] -= SHAPES[found.kind](expected, record.times[seen])
         records.append(record.with_outputs(outputs))
-    return Dataset(tuple(records)), unit
+    return Dataset(tuple(records)), 1.0
 
 
 def loss_without(fit: Estimate, place: str) -> float:
