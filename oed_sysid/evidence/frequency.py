@@ -54,10 +54,9 @@ from scipy.signal import csd, get_window
 from scipy.stats import f as f_distribution
 
 from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.errors import DataError, SimulationError
+from oed_sysid.errors import DataError
 from oed_sysid.evidence.chance import FALSE_CLAIMS
-from oed_sysid.evidence.compare import Comparison, ModelMisfit
-from oed_sysid.experiments.steady import equilibrium, linearise
+from oed_sysid.evidence.compare import Comparison
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text
 
 # Partial coherence from which a record tells of a response: with ten windows the random error is
@@ -275,19 +274,15 @@ class ModelResponse:
     label : str
     values : ndarray of complex (n_frequencies, n_outputs, n_inputs)
         Of the model's run on the records' inputs, through the same windows.
-    linear : ndarray of complex (n_frequencies, n_outputs, n_inputs) or None
-        Of the model linearised at the equilibrium of the records' mean inputs, actuators and
-        sensors settled; None where there is none.
     verdicts : ndarray of str (n_frequencies, n_outputs, n_inputs)
         ``holds``, ``fails`` or ``untold``.
     """
 
     label: str
     values: np.ndarray
-    linear: np.ndarray | None
     verdicts: np.ndarray
 
-    to_dict = as_dict("label", "values", "linear")
+    to_dict = as_dict("label", "values")
 
 
 @dataclass(frozen=True)
@@ -412,7 +407,7 @@ class FrequencyComparison:
             Figure(
                 "figure_frequency", self,
                 f"{name}: dots are the records' response with its 95 % random error, lines the "
-                "models' runs, thin lines the linearised models. Shaded: the records tell nothing.",
+                "models' runs. Shaded: the records tell nothing.",
                 (name,),
             )
             for name in record.outputs
@@ -453,7 +448,7 @@ def compare_frequency(
     for one in comparison.models:
         run = frequency_response(dataset, outputs=one.prediction.outputs, window=window)
         verdicts = _verdicts(record, run.values)
-        models.append(ModelResponse(one.label, run.values, _linear(one, record), verdicts))
+        models.append(ModelResponse(one.label, run.values, verdicts))
     return FrequencyComparison(record, tuple(models))
 
 
@@ -464,32 +459,6 @@ def _verdicts(record: FrequencyResponse, values: np.ndarray) -> np.ndarray:
     most = f_distribution.ppf(chance, 2, 2.0 * (record.averages - n_inputs))
     off = np.abs(record.values - values) ** 2 > most * 2.0 * record.errors**2
     return np.where(told, np.where(off, FAILS, HOLDS), UNTOLD)
-
-
-def _linear(one: ModelMisfit, record: FrequencyResponse) -> np.ndarray | None:
-    """Responses of the model linearised at the records' mean inputs, sampled as the records are."""
-    dataset, model = one.prediction.dataset, one.model
-    mean = np.concatenate([run.inputs for run in dataset]).mean(axis=0)
-    guess = {
-        name: float(np.mean([start[name] for start in one.prediction.initial_states]))
-        for name in model.state_names
-    }
-    try:
-        point = equilibrium(
-            model, inputs=dict(zip(model.input_names, map(float, mean), strict=True)), guess=guess
-        )
-        system = linearise(model, point, outputs=record.outputs)
-    except SimulationError:
-        return None
-    circle = np.exp(2j * np.pi * record.frequencies * record.sample_time)
-    found = np.empty(record.values.shape, dtype=complex)
-    for place, name in enumerate(record.inputs):
-        column = model.input_names.index(name)
-        # What an input does between samples is part of the response that samples show.
-        way = "zoh" if model.inputs[column].interpolation == "hold" else "foh"
-        sampled = system[:, column].sample(record.sample_time, method=way)
-        found[:, :, place] = np.moveaxis(sampled(circle, squeeze=False), -1, 0)[:, :, 0]
-    return found
 
 
 def _apart(band: Band) -> tuple[str, str]:

@@ -52,10 +52,6 @@ def figure_frequency(found: FrequencyComparison, output: str) -> Figure:
             look, run = draw.model_style(place), one.values[:, j, i]
             gain.plot(hertz, _decibel(run), **look.line, label=one.label)
             turn.plot(hertz, _beside(run, near), **look.line)
-            if one.linear is not None:
-                linear = one.linear[:, j, i]
-                gain.plot(hertz, _decibel(linear), color=look.colour, lw=0.7, ls=":")
-                turn.plot(hertz, _beside(linear, near), color=look.colour, lw=0.7, ls=":")
         share.plot(hertz, record.coherence[:, j, i], color=draw.DATA, label="partial")
         share.plot(hertz, record.multiple[:, j], color=draw.NEUTRAL, ls="--", label="multiple")
         share.axhline(TOLD, color=draw.TRUTH, lw=0.8, ls=":")
