@@ -192,7 +192,10 @@ def test_a_missing_heave_force_is_found_in_the_heave_equation(drag) -> None:  # 
     found = locate(fit, study.unit, {"drag": right})
     assert found.best == "force Z"
     assert "in the forces of the Z equation" in found.verdict
-    assert found.agreement["drag"] > 0.9
+    std = np.vstack([one.std for one in found.forces]).ravel()
+    seen = np.vstack([one.values for one in found.forces]).ravel() / std
+    meant = np.vstack(found.signatures["drag"]).ravel() / std
+    assert seen @ meant > 0.9 * np.linalg.norm(seen) * np.linalg.norm(meant)
     assert "not the missing force itself" in found.report()
     assert json.loads(json.dumps(found.to_dict()))["best"] == "force Z"
     assert found.forces[0].values.shape == (train[0].n_samples, 3)

@@ -481,7 +481,7 @@ class Improvement:
         return (display.Table(headers, rows, words=(7,)),)
 
     def _glance(self, train: Dataset | None) -> display.Section:
-        """What was found, in two pictures and the numbers of the decision; on a page."""
+        """What was found, in two pictures; on a page."""
         half = 5.6, 3.6  # inches, of one of two pictures beside each other
         figures = [
             display.Figure(
@@ -497,16 +497,8 @@ class Improvement:
             figures.append(
                 display.Figure("plot_force_found", self, f"{words}.", (train,), size=half)
             )
-        headers = ("effect", *TERMS, "error after")
-        which, _ = self._judged
-        rows = [
-            (step.added, *_terms(step.claim), *_cells(".3g", step.errors[which]))
-            for step in self.steps
-        ]
-        note = "T, on training and validation records together, has to pass the threshold."
-        tables = (display.Table(headers, rows, note),) if rows else ()
         return display.Section(
-            "At a glance", [*self._meanings()], tables, figures, only="page", beside=True
+            "At a glance", [*self._meanings()], figures=figures, only="page", beside=True
         )
 
     def _meanings(self) -> Iterator[str]:

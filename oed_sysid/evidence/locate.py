@@ -23,13 +23,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.misfit import in_words
 from oed_sysid.evidence.rank import Ranking
-from oed_sysid.evidence.residual_forces import (
-    LEAST_WHITE,
-    ResidualForces,
-    Series,
-    agreement,
-    let_in,
-)
+from oed_sysid.evidence.residual_forces import LEAST_WHITE, ResidualForces, Series, let_in
 from oed_sysid.evidence.traces import LEAST, RELATIVE
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.disturbances import Place, places
@@ -37,7 +31,7 @@ from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import FEW, NEAR, FilteredSolution, Iterate, solve_filtered
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
 from oed_sysid.likelihood.random_forces import begun, likeliest_decade, solved
-from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict
+from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text
 from oed_sysid.text.units import shown_unit
 
 # Shortest and longest correlation time of the disturbances, s: passing and lasting.
@@ -76,9 +70,6 @@ class Located:
     signatures : dict
         For every rival, the residual forces ``(n_times, n_forces)`` that would
         be seen if it were the truth and nothing were noisy, per record.
-    agreement : dict
-        Correlation of each signature with the residual forces, in units of
-        their standard errors.
     by_motion : str
         Of independent tests, which no disturbance links, where the model fails as a function of
         motions and inputs, in words; empty for time series.
@@ -94,7 +85,6 @@ class Located:
     force_names: tuple[str, ...]
     forces: tuple[Series, ...]
     signatures: dict[str, tuple[np.ndarray, ...]]
-    agreement: dict[str, float]
     by_motion: str = ""
 
     @classmethod
@@ -102,7 +92,7 @@ class Located:
         """A finding without any gain, where locating was not possible."""
         where = places(fit.problem.model)
         zero = {place.name: 0.0 for place in where}
-        return cls(where, zero, dict(zero), (), (), {}, {})
+        return cls(where, zero, dict(zero), (), (), {})
 
     @property
     def top(self) -> float:
@@ -171,21 +161,12 @@ class Located:
                 "here are over noise of the sensors alone; those of candidates are over process "
                 "noise, which has taken most of it."
             ]
-        parts = [
-            Section(
-                "Where the nominal model fails", ["", *words] if rows else words, tables,
-                [] if self.by_motion else self._figures(train),
-            )
-        ]  # fmt: skip
-        if self.agreement:
-            pairs = [(name, f"{value:.2f}") for name, value in self.agreement.items()]
-            table = Table(("candidate", "agreement with the residual forces"), pairs)
-            parts.append(Section("Agreement", tables=(table,)))
-        return Report(self.verdict, sections=parts)
+        title = "Where the nominal model fails"
+        drawn = [] if self.by_motion else self._figures(train)
+        part = Section(title, ["", *words] if rows else words, tables, drawn)
+        return Report(title, sections=(part,))
 
-    def report(self) -> str:
-        """Return the finding as text."""
-        return "\n\n".join("\n".join(part.lines()) for part in self.document().sections)
+    report = as_text
 
     def _figures(self, train: Dataset | None) -> list[Figure]:
         drawings = [
@@ -210,7 +191,7 @@ class Located:
         return drawings
 
     to_dict = as_dict(
-        "best", "group", "verdict", "gains", "levels", "signatures", "agreement",
+        "best", "group", "verdict", "gains", "levels", "signatures",
         units=lambda self: {place.name: place.unit for place in self.places},
         forces=lambda self: {"names": self.force_names, "records": self.forces},
     )  # fmt: skip
@@ -248,15 +229,13 @@ def locate(
     placed = (place.partition(" ") for place in fit.noise.places)
     columns = {i: signal for i, (stage, _, signal) in enumerate(placed) if stage == "force"}
     forces = tuple(series.only([*columns]) for series in smoother.series())
-    signatures = _signatures(smoother, rivals or {}, [*columns])
     return Located(
         places=tuple(part.place for part in found),
         gains={part.place.name: part.gain for part in found},
         levels={part.place.name: part.level for part in found},
         force_names=tuple(columns.values()),
         forces=forces,
-        signatures=signatures,
-        agreement={name: agreement(forces, parts) for name, parts in signatures.items()},
+        signatures=_signatures(smoother, rivals or {}, [*columns]),
     )
 
 

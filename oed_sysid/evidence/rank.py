@@ -24,7 +24,7 @@ from oed_sysid.likelihood.fit import ALIKE, MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.physics import Effect
 from oed_sysid.physics.variants import BY_RECORD
-from oed_sysid.runtime.display import Figure, Report, Section, Table
+from oed_sysid.runtime.display import Figure, Report, Section, Table, as_text
 
 # Candidates, and where none is claimed pairs, that are refitted in each round.
 N_REFITS = 7
@@ -208,9 +208,7 @@ class Ranking:
             rows.append((name, f"{score.statistic:.1f}", gain, needed, f"{score.distinct:.2f}"))
         return Table(("candidate effect", "score", "2ΔlnL", "threshold", "distinct"), rows)
 
-    def report(self, *, hidden: bool = True) -> str:
-        """Return the document as text."""
-        return "\n".join(self.document(hidden=hidden).sections[0].lines())
+    report = as_text
 
     def imitated(self) -> tuple[str, ...]:
         """Effects that free parameters of the model imitate completely, by name."""

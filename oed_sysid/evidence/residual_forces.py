@@ -148,13 +148,3 @@ class ResidualForces:
             own = path.disturbances(part.innovations[:, :, None])[:, :, 0]
             where = self.problem.layout.record_columns(index)
             yield own + self.columns[index] @ step[where]
-
-
-def agreement(forces: Sequence[Series], signature: Sequence[np.ndarray]) -> float:
-    """Correlation of residual forces and a signature, both in standard errors."""
-    seen = np.concatenate([(s.values / s.std).ravel() for s in forces])
-    expected = np.concatenate(
-        [(part / s.std).ravel() for part, s in zip(signature, forces, strict=True)]
-    )
-    size = np.linalg.norm(seen) * np.linalg.norm(expected)
-    return float(seen @ expected / size) if size > 0 else 0.0
