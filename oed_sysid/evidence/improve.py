@@ -16,7 +16,6 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.evidence.check import LogCheck, check, with_estimates
-from oed_sysid.evidence.claim import own_error
 from oed_sysid.evidence.corrections import as_measured
 from oed_sysid.evidence.improvement import (
     Improvement,
@@ -27,7 +26,7 @@ from oed_sysid.evidence.improvement import (
 from oed_sysid.evidence.locate import Located, likeliest, locate
 from oed_sysid.evidence.preparation import Prepared, prepared
 from oed_sysid.evidence.remainder import Remains
-from oed_sysid.evidence.search import Ended, Search, every_step, overgrown
+from oed_sysid.evidence.search import Ended, Search, every_step
 from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.archive import encode
@@ -150,7 +149,8 @@ def improve(
     searched = (0, False) if read_wrong else (max_effects, terms)
     run = Search(searched[0], tell, keep, notes, ready.whole, searched[1])
     end = run.beyond(run.known(study, base))
-    if disturbances == "auto" and not read_wrong and _hidden_by_forces(end):
+    structured = end.left.structured and not end.left.is_noise
+    if disturbances == "auto" and not read_wrong and structured:
         tell("searching without disturbance forces")
         calm = keep.once("without disturbance forces", partial(begin, disturbances="none"))
         end = run.calmer(end, *calm)
@@ -159,8 +159,7 @@ def improve(
     location = run.stage("location", work) or Located.nothing(end.base)
     tell("fits and errors of every step")
     result = keep.once("every step", lambda: _result(end, location, notes, log, logs))
-    found = (*_other_noise(result.fit), *_bought(end))
-    return replace(result, notes=(*found, *result.notes))
+    return replace(result, notes=(*_other_noise(result.fit), *result.notes))
 
 
 def _measured(
@@ -187,26 +186,6 @@ def _read_wrong(study: Study, base: FilteredSolution) -> list[str]:
     fit = study.result(study.polished(base), "improve, disturbance forces")
     names = [one.channel.name for one in input_factors(fit, study.base.values)]
     return [f"Nothing was searched for before {' and '.join(names)} is put right."] if names else []
-
-
-def _hidden_by_forces(end: Ended) -> bool:
-    """Whether disturbance forces may hide what is missing: structured ones, or at what cost."""
-    if end.left.is_noise:
-        return False
-    return bool(end.left.structured) or overgrown(end.state.study, end.state.fit)
-
-
-def _bought(end: Ended) -> list[str]:
-    """Words where disturbance forces still explain the records at the price of whole runs."""
-    study, fit = end.state.study, end.state.fit
-    if not overgrown(study, fit):
-        return []
-    return [
-        "Disturbance forces make the records likely, but a whole run is then "
-        f"{own_error(study, fit, study.train):.3g} x noise off, {study.plain_error:.3g} for the "
-        "nominal model without them. Where the sea was calm, look again with disturbances='none' "
-        "(--disturbances none): what is missing shows more clearly."
-    ]
 
 
 def _other_noise(fit: Fit) -> list[str]:

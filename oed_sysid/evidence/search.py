@@ -25,15 +25,13 @@ from oed_sysid.evidence.remainder import Remains, followed, remains
 from oed_sysid.evidence.score import imitated_by
 from oed_sysid.evidence.study import Study, likelier
 from oed_sysid.information.shifts import GROUP_WIDTH
+from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.gauss_newton import NEAR, FilteredSolution
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.random_forces import periods, with_sea
 from oed_sysid.physics import Effect
 from oed_sysid.physics.table import POLYNOMIAL
 from oed_sysid.runtime.journal import Journal
-
-# Error of whole runs, over that of a fit without disturbance forces, that they should not cost.
-BOUGHT = 2.0
 
 Done = TypeVar("Done")
 
@@ -210,10 +208,10 @@ class Search:
             )
             state = asked_again(replace(state, study=found, fit=fit, path=(*calm.path, fit)))
             return self.beyond(Ended(state, first, last, self._left(state)))
-        state = eliminated(state, found, noise, BOUGHT)
+        state = eliminated(state, found, noise, TWOFOLD)
         records = study.train if study.validation is None else study.validation
         here, there = own_error(found, present, records), own_error(study, state.fit, records)
-        if not (state.added and BOUGHT * there < here):
+        if not (state.added and TWOFOLD * there < here):
             return replace(end, state=replace(end.state, decisions=state.decisions))
         self.notes.append(
             "Disturbance forces had grown over what is missing: whole runs of what was found "
@@ -347,7 +345,7 @@ def _at_sea(state: Standing, *, last: bool) -> tuple[FilteredSolution, list[str]
 
 def _explained(sea: Claim, rival: Claim) -> bool:
     """Whether an effect is worth more than a sea, or leaves whole runs that are much better."""
-    return sea.statistic <= rival.statistic or BOUGHT * rival.after < sea.after
+    return sea.statistic <= rival.statistic or TWOFOLD * rival.after < sea.after
 
 
 def calmed(state: Standing) -> Standing:
@@ -440,15 +438,6 @@ def not_astray(study: Study, fit: FilteredSolution) -> FilteredSolution:
     anew = study.anew(fit)
     likelier = anew is not None and anew.objective < fit.objective - 2.0 * NEAR
     return study.settle(anew) if anew is not None and likelier else fit
-
-
-def overgrown(study: Study, fit: FilteredSolution) -> bool:
-    """Whether disturbance forces explain the records at the price of whole runs."""
-    acting = any(
-        level > 0 and not place.startswith("actuator")
-        for place, level in zip(fit.noise.places, fit.noise.force, strict=True)
-    )
-    return acting and own_error(study, fit, study.train) > BOUGHT * study.plain_error
 
 
 def asked_again(state: Standing) -> Standing:

@@ -92,9 +92,6 @@ class Study:
         The nominal model.
     candidates : tuple of Effect
         What may be missing, absent.
-    plain_error : float
-        Error of the nominal model fitted without disturbance forces on the training records, over
-        all outputs, in units of the noise.
     train : Dataset
     validation : Dataset or None
     setting : Setting
@@ -109,7 +106,6 @@ class Study:
 
     base: Model
     candidates: tuple[Effect, ...]
-    plain_error: float
     train: Dataset
     validation: Dataset | None
     setting: Setting
@@ -169,11 +165,10 @@ class Study:
         # Two in three passes are of the nominal model, at a third to two thirds of the price.
         narrow, kernel = (_kernel(model, one, setting) for one in ((), effects))
         setting = replace(setting, kernel=narrow)
-        starts, test, plain = _from_white_noise(setting)
+        starts, test = _from_white_noise(setting)
         study = cls(
             base=model,
             candidates=effects,
-            plain_error=total_error(np.array(list(plain.rms.values())) / white),
             train=train,
             validation=validation,
             setting=setting,
@@ -306,7 +301,7 @@ class Study:
         if at_sea:
             setting = replace(setting, any_sea=True, estimated=self.estimated)
         try:
-            starts, test, _ = _from_white_noise(setting, more)
+            starts, test = _from_white_noise(setting, more)
         except SimulationError:
             return None
         end = fit_disturbed(setting, starts, test, polish=0).finite
@@ -522,10 +517,11 @@ def fitting_candidates(base: Model, candidates: Sequence[Effect]) -> tuple[Effec
 
 def _from_white_noise(
     setting: Setting, more: Sequence[Model] = ()
-) -> tuple[list[Start], ScoreTest, Fit]:
-    """Where a model's estimation begins, levels to begin with, and its fit to white noise.
+) -> tuple[list[Start], ScoreTest]:
+    """Where a model's estimation begins, and levels to begin with.
 
-    That is the best from its own values and from those of the same model in ``more``.
+    It begins at its fit to white noise, the best from its own values and from those of the same
+    model in ``more``.
     """
     model, train = setting.model, setting.dataset
     shooting = Shooting(model, train, setting.white)
@@ -535,7 +531,7 @@ def _from_white_noise(
         starts.append(Start(fit.model.values, fit.initial_states, fit.local_values))
     test = _best_test(setting, starts)
     level = np.where(np.isin(test.noise.places, setting.known), 0.0, test.noise.force)
-    return starts, replace(test, noise=replace(test.noise, force=level)), fit
+    return starts, replace(test, noise=replace(test.noise, force=level))
 
 
 def usual(effects: Sequence[Effect]) -> dict[str, float]:
