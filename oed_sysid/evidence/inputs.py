@@ -59,7 +59,6 @@ from oed_sysid.evidence.relations import READINGS, Relation
 from oed_sysid.evidence.result import Correction, Finding, Judged
 from oed_sysid.evidence.traces import RELATIVE, Trace, fast_noise
 from oed_sysid.evidence.words import Log, judged_row, said
-from oed_sysid.information.identifiability import ASSUMED
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_levels import Runs
@@ -70,6 +69,8 @@ from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.text.expressions import names as names_in
 
+# A declared prior is not trusted beyond this share of its mean: nominal physics lacks as much.
+LEAST_PRIOR = 0.25
 # What is asked of an input.
 ASKED = ("sign", "unit", "bias", "scale", "delay", "lost")
 
@@ -421,8 +422,7 @@ def _believed(p: Parameter) -> float:
     """How far a parameter may be from its prior mean; without a prior it may be anything."""
     if p.prior_std is None:
         return max(abs(p.value), RELATIVE) / RELATIVE
-    # Nominal physics lacks as much, whatever its prior says.
-    return max(p.prior_std, ASSUMED * abs(p.prior_mean or p.value))
+    return max(p.prior_std, LEAST_PRIOR * abs(p.prior_mean or p.value))
 
 
 def _readings(moving: Mapping[str, str]) -> Iterator[Found]:

@@ -59,10 +59,12 @@ from oed_sysid.likelihood.projection import bounded_step, gain_within
 from oed_sysid.likelihood.shooting import Follows, Linearisation, Point, Shooting
 from oed_sysid.likelihood.unknowns import node_maps
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import RANK_TOLERANCE, ROUNDING
+from oed_sysid.runtime.constants import RANK_TOLERANCE
 
 # Ratio of one length of a step that is tried to the one before.
 SHORTER = 0.4
+# A trajectory whose scaled jumps sum to less is continuous; and a share of a cost that is rounding.
+CLOSED = 1e-8
 # With disturbance forces: the step that ends the iterations at frozen gain, and those of the exact
 # one, whose equations then serve where it led; and most steps of this.
 FROZEN_TOLERANCE, POLISH_STEPS = 1e-3, 8
@@ -426,7 +428,7 @@ class Convergence:
     def gain(self, cost: float, *, at_floor: bool) -> float:
         """Gain that is none; more where rounding errors have been reached."""
         least = max(self.tolerance, self.share * cost)
-        floor = min(ROUNDING * abs(cost), FROZEN_TOLERANCE)
+        floor = min(CLOSED * abs(cost), FROZEN_TOLERANCE)
         return max(least, floor) if at_floor else least
 
 
@@ -526,7 +528,7 @@ class Descent:
         if share > 0.0 and self.steps and self.before.cost - now.cost < share * now.cost:
             return True
         least = self.convergence.gain(now.cost, at_floor=self._at_floor)
-        if not (now.defect < ROUNDING or self._at_floor) or not abs(self.decrease) < least:
+        if not (now.defect < CLOSED or self._at_floor) or not abs(self.decrease) < least:
             return False
         # A damped step is short everywhere; only a full one proves the end.
         full = self._damping == 0.0
