@@ -144,11 +144,7 @@ def _log(
     timed = {topic: timed_by(columns, header, in_seconds) for topic, columns in tables.items()}
     topics = {topic: found for topic, found in timed.items() if found is not None}
     if not topics:
-        found = ", ".join(repr(h) for columns in tables.values() for h in list(columns)[:6])
-        raise DataError(
-            f"{path.name} has no column with times: none is called 't [s]' or 'time [s]', and none "
-            f"grows from row to row. Found were {found or 'no columns'}."
-        )
+        raise _without_times(path, tables)
     clock = next(iter(topics.values()))
     first = min(float(np.nanmin(one.times)) for one in topics.values())
     is_moment = EPOCH[0] < first < EPOCH[1]
@@ -166,6 +162,14 @@ class _Timed(NamedTuple):
     fields: dict[str, np.ndarray]
     header: str
     unit: str | None
+
+
+def _without_times(path: Path, tables: Mapping[str, Mapping[str, np.ndarray]]) -> DataError:
+    found = ", ".join(repr(h) for columns in tables.values() for h in list(columns)[:6])
+    return DataError(
+        f"{path.name} has no column with times: none is called 't [s]' or 'time [s]', and none "
+        f"grows from row to row. Found were {found or 'no columns'}."
+    )
 
 
 def _seconds_of_digits(clock: np.ndarray) -> np.ndarray:

@@ -365,7 +365,7 @@ class _Search:
 
     def _moves(self, kept: list[int]) -> Iterator[tuple[list[list[int]], float]]:
         """Add one; put two for one; put one for one, which has to make the columns less alike."""
-        outside = [i for i in self.candidates if i not in kept]
+        outside = sorted({*self.candidates} - {*kept})
         rests = [[j for j in kept if j != k] for k in kept]
         yield [[*kept, i] for i in outside], 0.0
         yield [[*rest, i, j] for rest in rests for i, j in combinations(outside, 2)], 0.0
