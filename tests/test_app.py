@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import operator
 import shlex
 import shutil
@@ -99,23 +98,6 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
     there = Fit.load(tmp_path / "fit.json")
     np.testing.assert_allclose(there.estimates, here.estimates, rtol=1e-6)
     assert (tmp_path / "rank.html").is_file()
-
-
-@pytest.mark.slow
-def test_shipped_problem_with_other_records() -> None:
-    """Other records of a shipped problem can be chosen; fit and report are of these."""
-    app = opened("nomoto_sparse_heading")
-    for use, names in (("Validation", []), ("Training", ["fast_rudder"])):
-        records_for(app, use).set_value(names).run()
-    app = done(at_fit(app), "fit")
-    subtitle = "Fitted by multiple shooting to fast_rudder"
-    assert subtitle in [caption.value for caption in app.caption]
-    app = fine(went(app, "Export"))
-    offered = {button.label for button in app.get("download_button")}
-    assert {"Fit (nominal.json)", "Problem folder (ZIP)"} <= offered
-    app = fine(went(app, "Report"))
-    assert "Script (study.py)" in {button.label for button in app.get("download_button")}
-    assert "estimator.fit(problem.model, train)" in app.code[0].value
 
 
 def test_files_of_the_user(ship: Path) -> None:
@@ -297,15 +279,6 @@ def test_missing_extra_is_named(monkeypatch, capsys) -> None:
     monkeypatch.setattr("oed_sysid.app.launch.find_spec", lambda name: None)
     assert main(["app"]) == BAD_INPUT
     assert 'pip install "oed_sysid[app]"' in capsys.readouterr().err
-
-
-def test_application_is_not_imported_with_the_package() -> None:
-    """Naming the commands costs no streamlit."""
-    code = (
-        "import sys, json, oed_sysid.cli.application; print(json.dumps('streamlit' in sys.modules))"
-    )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert json.loads(run.stdout) is False
 
 
 def test_check_page_names_a_wrong_log_and_offers_copies(ship: Path) -> None:

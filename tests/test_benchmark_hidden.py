@@ -18,9 +18,8 @@ from scipy.optimize import least_squares
 from benchmarks import rates
 from benchmarks.missing_physics.cases import CONDITIONS, draws
 from benchmarks.missing_physics.simulator import PRIORS, TEST, TRAIN, Case, simulate
-from benchmarks.other_vehicles.cases import draw_case, single_effect
 from benchmarks.other_vehicles.cases import draws as draws_vehicles
-from benchmarks.other_vehicles.judge import nominal_model, true_model
+from benchmarks.other_vehicles.cases import single_effect
 from benchmarks.other_vehicles.models import nominal
 from benchmarks.other_vehicles.truth import VEHICLES, auv, catamaran, coaster
 from benchmarks.other_vehicles.truth.detect import gains
@@ -148,24 +147,6 @@ def test_measures_count_what_they_say() -> None:
     assert (of_motor["cases"], of_motor["detectable"], of_motor["first"]) == (6, 5, 2)
     assert of_motor["otherwise"] == ["an abort", "b"]
     assert "| motor/single/white/5 |" in rates.table(found)
-
-
-@pytest.mark.slow
-def test_a_case_that_lacks_a_part_gets_it_as_a_candidate() -> None:
-    """The nominal model is without the damping, the candidate starts absent, the truth has it."""
-    draw = next(
-        d
-        for d in draws_vehicles(["motor"], 40)
-        if d.hidden == "single" and single_effect(d) == "viscous_damping"
-    )
-    case = draw_case(draw)
-    assert "viscous_damping" not in nominal_model(case).effect_names
-    (candidate,) = [
-        e for e in nominal("motor").effects(case.lacking) if e.name == "viscous_damping"
-    ]
-    assert candidate.parameters[0].value == 0.0
-    assert true_model(case).values["b"] == pytest.approx(case.parameters["b"])
-    assert case.gain("viscous_damping").train > 1000
 
 
 def test_an_improvement_that_takes_too_long_is_an_abort() -> None:
@@ -408,14 +389,3 @@ def test_disturbances_hide_what_white_noise_shows() -> None:
     )
     assert 0 < rough < 0.5 * calm
     assert 0 < noisy < 0.9 * calm
-
-
-def test_an_effect_gains_as_much_beside_one_that_lags() -> None:
-    """A lag that is in both structures takes little from another effect's gain."""
-    vehicle = shortened(VEHICLES["motor"], 100)
-    found = []
-    for lag in ({}, {"lag:V": 0.1, "sensor_lag:omega": 0.02}):
-        hidden = {"quadratic": -0.1, **lag}
-        runs = simulate_vehicle(vehicle, hidden, rng=RNG)
-        found.append(gained(vehicle, runs, hidden, lag).train)
-    assert found[1] == pytest.approx(found[0], rel=0.3)

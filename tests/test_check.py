@@ -240,6 +240,7 @@ def test_sensor_effect_of_the_model_is_no_alarm() -> None:
 
 
 LOCAL = [
+    ("bias", "q", -0.01, lambda y, t: y - 0.01),
     ("step", "q", 0.012, lambda y, t: y + 0.012 * (t >= 0.4)),
     ("drift", "q", 0.03 / 87.0, lambda y, t: y + 0.03 * t),
     ("burst", "z", 0.3, lambda y, t: y + 0.3 * ((t >= 0.5) & (t < 0.512))),
@@ -249,7 +250,7 @@ LOCAL = [
 
 @pytest.mark.parametrize(("kind", "name", "size", "change"), LOCAL, ids=lambda x: str(x)[:6])
 def test_faults_of_one_record_are_named_there(kind, name, size, change) -> None:  # type: ignore[no-untyped-def]
-    """A step, a drift, a burst and a scale in the second of three records, within a fifth."""
+    """A bias, step, drift, burst and scale in the second of three records, within a fifth."""
     data = log(DIVER)
     y = data[1].output(name)
     spoilt = altered(data, 1, **{name: change(y, np.linspace(0.0, 1.0, y.size))})
@@ -257,6 +258,7 @@ def test_faults_of_one_record_are_named_there(kind, name, size, change) -> None:
     one = found.serious[0]
     assert (one.kind, one.signals, one.records) == (kind, (name,), ("run_1",))
     assert one.size == pytest.approx(size, rel=0.2)
+    assert len(found.serious) == 1 or kind != "bias"
 
 
 def test_rate_of_a_clock_is_told_from_a_delay() -> None:
@@ -340,38 +342,6 @@ def test_an_input_in_degrees_is_beyond_its_limit() -> None:
 
 
 # -- screens ---------------------------------------------------------------------------------
-
-
-def screened(change, n: int = 800) -> dict[str, object]:  # type: ignore[no-untyped-def]
-    """Faults of one noisy signal after a change, by kind."""
-    rng = np.random.default_rng(2)
-    t = np.arange(n) * 0.1
-    y = np.sin(0.5 * t) + 0.01 * rng.standard_normal(n)
-    trace = Trace("run", t, {"y": change(y)}, {"y": "m"})
-    trace = replace(trace, noise={"y": 0.01})
-    return {fault.kind: fault for fault in screen(trace)}
-
-
-def test_screens_name_what_happened() -> None:
-    """Spikes, drop-outs, frozen, cut-off, held, coarse and dead signals, each by its name."""
-
-    def changed(rows, value):  # type: ignore[no-untyped-def]
-        def change(y: np.ndarray) -> np.ndarray:
-            y = y.copy()
-            y[rows] = value if not callable(value) else value(y[rows])
-            return y
-
-        return change
-
-    hit = np.array([100, 300, 555])
-    assert list(screened(changed(hit, lambda v: v + 0.4))["spikes"].rows) == list(hit)  # type: ignore[attr-defined]
-    lost = np.array([80, 201, 202, 390, 511, 640])
-    assert list(screened(changed(lost, -9.0))["dropouts"].rows) == list(lost)  # type: ignore[attr-defined]
-    frozen = screened(changed(slice(200, 230), 0.123))
-    assert set(frozen) == {"frozen"}
-    assert "saturated" in screened(lambda y: np.minimum(y, 0.8))
-    assert screened(lambda y: np.repeat(y[::5], 5))["held"].amount == pytest.approx(0.5)  # type: ignore[attr-defined]
-    assert "quantised" in screened(lambda y: np.round(y * 10.0) / 10.0)
 
 
 def test_a_kink_is_no_spike() -> None:
@@ -880,20 +850,6 @@ def spoilt(vehicle: Vehicle, seed: int, sizes: dict[int, tuple[str, float]]) -> 
     return data
 
 
-@pytest.mark.parametrize(
-    ("vehicle", "name", "size"),
-    [(DIVER, "q", -0.01), *slow((SHIP, "r", 0.003), (SHIP, "r", 0.01), (DIVER, "theta", 0.05))],
-)
-def test_the_record_is_named_with_the_size(vehicle: Vehicle, name: str, size: float) -> None:
-    """One finding, of that signal in that record, within four standard errors."""
-    found = check(spoilt(vehicle, 1, {1: (name, size)}), vehicle.model, inputs=False)
-    (one,) = found.serious
-    assert (one.kind, one.signals, one.records) == ("bias", (name,), ("run_1",))
-    assert one.interval is not None
-    assert abs((one.size or 0.0) - size) < one.interval[1] - one.interval[0]
-    assert abs(one.size or 0.0) > 0.8 * abs(size)
-
-
 def test_two_records_have_each_their_own() -> None:
     """Errors of opposite sign, which no common bias could say."""
     data = spoilt(SHIP, 0, {0: ("r", 0.006), 2: ("r", -0.004)})
@@ -903,14 +859,6 @@ def test_two_records_have_each_their_own() -> None:
         ("run_0",): pytest.approx(0.006, abs=4e-4),
         ("run_2",): pytest.approx(-0.004, abs=4e-4),
     }
-
-
-@pytest.mark.slow
-def test_an_error_of_all_records_stays_one_finding() -> None:
-    """What one number says is not said three times."""
-    data = spoilt(SHIP, 0, {k: ("r", 0.006) for k in range(3)})
-    (one,) = check(data, SHIP.model, inputs=False).serious
-    assert one.records == ("run_0", "run_1", "run_2")
 
 
 def test_the_copy_changes_that_record_only() -> None:

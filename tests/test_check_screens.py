@@ -24,12 +24,9 @@ from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.noise_levels import cubic_weights, off_cubic
 from oed_sysid.physics import (
     Force,
-    actuator_lag,
     actuator_offset,
     backlash,
-    deadband,
     in_each_record,
-    rate_limit,
     steady_wind,
 )
 from oed_sysid.physics.channels import Input, Output, State
@@ -169,6 +166,17 @@ def test_a_single_run_of_one_value_is_enough(kind: str, first: int, last: int) -
     series[first:last] = 0.0 if kind == "dropouts" else series[first]
     # What was there before it froze is no fault.
     assert found_in(series) == {kind: list(range(first + (kind == "frozen"), last))}
+
+
+def test_single_dropouts_held_and_coarse_samples_are_told() -> None:
+    """Lost samples here and there by their rows, a hold of five by its time, coarse steps."""
+    lost = [80, 201, 202, 390, 511, 640]
+    series = wave()
+    series[lost] = -9.0
+    assert found_in(series)["dropouts"] == lost
+    (held,) = (one for one in screen(traced(np.repeat(wave()[::5], 5))) if one.kind == "held")
+    assert held.amount == pytest.approx(0.5)
+    assert "quantised" in found_in(np.round(wave(), 1))
 
 
 @pytest.mark.parametrize("limit", [2.2, 3.5, 3.8])
@@ -469,20 +477,6 @@ INPUTS = {
     "port": 20 * np.sin(0.7 * TIMES_SIGNALS),
     "starboard": 15 * np.sin(0.4 * TIMES_SIGNALS + 1),
 }
-
-
-@pytest.mark.parametrize("kind", [deadband, backlash, rate_limit, actuator_lag])
-def test_of_two_signals_is_of_each(kind) -> None:  # type: ignore[no-untyped-def]
-    """One effect of both screws moves the vessel as two effects, one of each, of the same size."""
-    unit = {} if kind is actuator_lag else {"unit": "N"}
-    both = TWIN + kind("both", ("port", "starboard"), value=0.4, **unit)
-    apart = TWIN + [kind(f"of_{s}", s, value=0.4, **unit) for s in ("port", "starboard")]
-    found, expected, without = (
-        simulate_inputs(model, TIMES_SIGNALS, inputs=INPUTS).outputs
-        for model in (both, apart, TWIN)
-    )
-    np.testing.assert_allclose(found, expected, atol=1e-12)
-    assert np.abs(found - without).max() > 1e-3
 
 
 def test_a_size_for_every_record() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import runpy
 import shutil
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -155,16 +154,6 @@ def test_fit_that_does_not_converge_has_its_own_code(ferry: Path, tmp_path: Path
     assert main(["simulate", str(ferry), "--experiment", "zigzag_20", "--out", str(file)]) == DONE
     (ferry / "problem.py").write_text(hopeless)
     assert main(["fit", str(ferry), str(file)]) == NO_RESULT
-
-
-def test_command_line_starts_quickly() -> None:
-    """`oed-sysid --help` imports no numerical library."""
-    code = (
-        "import sys; from oed_sysid.cli import main; main(['--help']); "
-        "print([m for m in ('numpy', 'casadi', 'matplotlib') if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.stdout.strip().endswith("[]"), done.stdout + done.stderr
 
 
 def test_several_experiments_after_one_option(ferry: Path, tmp_path: Path, capsys) -> None:

@@ -359,7 +359,7 @@ def test_sensor_chain_starts_without_transient() -> None:
 
 
 def test_one_parameter_for_several_channels() -> None:
-    """Shared lag, delay and rate limit move each channel as its own effect would."""
+    """A shared lag, delay, limit, dead band or play moves each channel as its own effect would."""
 
     def pair(*effects):
         return Model(
@@ -378,6 +378,8 @@ def test_one_parameter_for_several_channels() -> None:
         (effects.actuator_lag, 0.3),
         (effects.actuator_delay, 0.25),
         (effects.rate_limit, 1.5),
+        (effects.deadband, 0.1),
+        (effects.backlash, 0.1),
     ):
         shared = pair(make("both", ("a", "b"), value=value))
         single = pair(make("one", "a", value=value), make("two", "b", value=value))

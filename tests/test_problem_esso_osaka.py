@@ -10,7 +10,7 @@ import pytest
 
 from oed_sysid import Dataset, MultipleShooting, load_problem, simulate, simulate_inputs
 from oed_sysid.errors import DataError
-from problems.esso_osaka.records import VALIDATION, read, windows
+from problems.esso_osaka.records import HEADER, VALIDATION, read, windows
 
 PROBLEM = load_problem("esso_osaka")
 MEASURED = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
@@ -101,6 +101,10 @@ def test_logs_are_unwound_and_averaged(tmp_path: Path) -> None:
     assert np.abs(np.diff(record.output("psi"))).max() < 0.03
     assert record.input("wind_north") == pytest.approx(np.full(40, -2.0))
     assert record.output("u")[1:-1] == pytest.approx(record.times[1:-1])
+    order = [0, 2, 1, *range(3, 13)]
+    names = ",".join(HEADER[k] for k in order)
+    np.savetxt(path, table[:, order], delimiter=",", header=names, comments="")
+    assert read(path, PROBLEM.model.channels).content_hash == record.content_hash
     np.savetxt(path, table[:, :5], delimiter=",", header="a,b,c,d,e")
     with pytest.raises(DataError, match="expected the 13"):
         read(path, PROBLEM.model.channels)

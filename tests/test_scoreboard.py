@@ -22,7 +22,6 @@ from benchmarks.scoreboard.row import Row, columns
 from oed_sysid import Record, load_problem, simulate_inputs
 from oed_sysid.data.third_party import data_folder
 from oed_sysid.errors import DataError
-from problems.esso_osaka.records import HEADER, load
 
 MEASURED = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 
@@ -263,9 +262,6 @@ def test_damping_at_speed_is_fitted_to_the_first_half(folder: Path) -> None:
     assert "not separated, because" in both.note
 
 
-ZIGZAG = "esso_osaka/zigzag_31-Jul-2020_13_22_52.csv"
-
-
 def test_a_board_that_fails_leaves_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -281,52 +277,3 @@ def test_a_board_that_fails_leaves_the_others(
     page = output.read_text(encoding="utf-8")
     assert "| fine | 1 | - |" in page
     assert "cannot be scored: the board broken: unforeseen KeyError: 'a \\| b\\nc'" in page
-
-
-def write_log(path: Path, table: np.ndarray, names: tuple[str, ...] = HEADER) -> None:
-    """A log with these columns."""
-    np.savetxt(path, table, delimiter=",", header=",".join(names), comments="", fmt="%.10g")
-
-
-@MEASURED
-def test_columns_of_logs_are_found_by_name(tmp_path: Path) -> None:
-    """Another order of named columns is put right; a log of one row is said to be short."""
-    table = load(data_folder() / ZIGZAG)
-    order = [0, 2, 1, *range(3, 13)]
-    path = tmp_path / "log.csv"
-    write_log(path, table[:, order], tuple(HEADER[k] for k in order))
-    assert load(path) == pytest.approx(table)
-    write_log(path, table[:1])
-    with pytest.raises(DataError, match="is too short: 1 complete rows"):
-        load(path)
-    write_log(path, table[:, :12], HEADER[:12])
-    with pytest.raises(DataError, match="has 12 columns; expected the 13"):
-        load(path)
-
-
-@MEASURED
-def test_further_logs_are_scored_each_for_itself(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A copy scores as its original; gaps cut; a log at fault leaves the others."""
-    folder = tmp_path / "esso_osaka"
-    shutil.copytree(data_folder() / "esso_osaka", folder)
-    folder.chmod(0o755)
-    whole = load(data_folder() / ZIGZAG)
-    shutil.copy(data_folder() / "esso_osaka/random_06-Aug-2020_16_24_25_6.csv", folder / "a.csv")
-    write_log(folder / "b_gap.csv", np.delete(whole, slice(400, 450), axis=0))
-    write_log(folder / "c_short.csv", whole[:100])
-    write_log(folder / "d_reversed.csv", whole[::-1])
-    (folder / "e_binary.csv").write_bytes(bytes(range(256)) * 40)
-    monkeypatch.setenv("OED_SYSID_DATA", str(tmp_path))
-    model = load_problem("esso_osaka").variant("wind").model
-    monkeypatch.setattr(esso_osaka, "learn", lambda: model)
-    rows = {row.what.split(", ")[1]: row for row in esso_osaka.score()}
-    assert len(rows) == 10
-    assert rows["a"].ours == pytest.approx(rows["random_6"].ours)
-    assert "6 windows of 100 s, last 94 s left out" in rows["a"].note
-    assert "2 pieces between gaps" in rows["b_gap"].note
-    assert rows["b_gap"].ours is not None
-    assert "its longest piece without gaps in time has 9.9 s" in rows["c_short"].note
-    assert "times do not increase" in rows["d_reversed"].note
-    assert rows["e_binary"].note.startswith("cannot be scored: e_binary.csv: e_binary.csv has")

@@ -19,21 +19,6 @@ from oed_sysid.likelihood.integration import BIAS, moved, resolved, step_change
 from oed_sysid.physics import Parameter, actuator_delay, actuator_lag, sensor_lag
 from oed_sysid.runtime.display import TWO_SIDED_95
 
-# Robertson's kinetics: rates apart by nine decades.
-ROBERTSON = Model(
-    "Robertson",
-    (State("A", "1"), State("B", "1", scale=1e-5), State("C", "1")),
-    (),
-    (Output("A", "1"), Output("B", "1"), Output("C", "1")),
-    {
-        "A": "-k1*A + k3*B*C",
-        "B": "k1*A - k3*B*C - k2*B**2",
-        "C": "k2*B**2",
-    },
-    parameters=(Parameter("k1", 0.04), Parameter("k2", 3e7), Parameter("k3", 1e4)),
-    step=0.05,
-    integrator="implicit",
-)
 # A slow body with a fin drive of five milliseconds, commanded by ramps, stepped by a tenth.
 DRIVE = Model(
     "fast drive",
