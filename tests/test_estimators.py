@@ -9,7 +9,7 @@ import pytest
 from altered import overwritten
 from marks import slow
 
-from oed_sysid import Dataset, Experiment, Fit, Multisine, Record, baselines, load_problem, simulate
+from oed_sysid import Dataset, Experiment, Fit, Multisine, Record, baselines, simulate
 from oed_sysid.baselines import MultipleShooting, Multistart
 from oed_sysid.baselines.contest import load_scenario
 from oed_sysid.errors import ModelError
@@ -162,27 +162,11 @@ def test_linear_model_gives_regularised_least_squares(kind: str) -> None:
     spread = np.linalg.inv(rows.T @ rows)
     assert fit.values["slope"] == pytest.approx(solution[1], rel=1e-8)
     assert fit.std_errors["slope"] == pytest.approx(np.sqrt(spread[1, 1]), rel=1e-8)
-
-
-def test_filters_find_the_parameters_of_an_auv() -> None:
-    """From values 20 per cent off, surge drag returns within its errors, near output error."""
-    problem = load_problem("remus_diving_plane")
-    model = problem.model.fix(*problem.model.free_names).free("X_uu", "Z_uuds", "M_uuds")
-    rng = np.random.default_rng(3)
-    data = Dataset((simulate(model, problem.experiment("zigzag_10_10"), rng=rng),))
-    start = model.with_values({name: 0.8 * model.values[name] for name in model.free_names})
-    reference = baselines.OutputError().fit(start, data)
-    for kind in ("extended", "unscented"):
-        fit = baselines.JointKalmanFilter(kind=kind).fit(start, data)
-        assert 0.9 < fit.extras["innovation"] < 1.1
-        for name in model.free_names:
-            assert fit.values[name] == pytest.approx(model.values[name], rel=0.03)
-            gap = abs(fit.values[name] - reference.values[name])
-            assert gap < 4 * reference.std_errors[name]
-        track = fit.extras["history"]["X_uu"]
-        assert len(track) == data.n_samples
-        spread = fit.extras["history_std"]["X_uu"]
-        assert spread[-1] < 0.1 * spread[0]
+    track, errors = (fit.extras[name]["slope"] for name in ("history", "history_std"))
+    assert len(track) == len(errors) == record.n_samples
+    assert errors[-1] == pytest.approx(fit.std_errors["slope"])
+    assert errors[0] > 10 * errors[-1]
+    assert fit.extras["innovation"] == pytest.approx(1.0, abs=0.2)
 
 
 def test_drift_is_followed() -> None:

@@ -76,19 +76,6 @@ def test_independent_prior_against_quadrature() -> None:
         assert abs(drawn.mean() - mean) < 0.03 * drawn.std()
 
 
-def test_joint_draws_mix_better() -> None:
-    """Features that are alike slow coordinate-wise draws down and not joint ones."""
-    x, y = correlated_problem()
-    found = {}
-    for draw in ("joint", "coordinate"):
-        chains = sample_posterior(
-            x, y, precision=np.full(6, 0.01), draw=draw, rng=np.random.default_rng(4)
-        )
-        found[draw] = effective_draws(chains.coefficients)
-    assert found["coordinate"][0] < 0.3 * found["joint"][0]
-    assert found["joint"].min() > 6000
-
-
 def test_effective_draws_of_an_autoregression() -> None:
     """For an AR(1) chain the number is the known share (1 - a)/(1 + a)."""
     rng = np.random.default_rng(6)

@@ -14,10 +14,7 @@ from benchmarks.documents.published.sailboat import errors, exact, gibbs, in_err
 from oed_sysid import Dataset, Record, load_problem, simulate, simulate_inputs
 from oed_sysid.baselines import (
     EquationError,
-    EquationStream,
     HeadingDifferences,
-    OnlineRegression,
-    RecursiveLSSVM,
 )
 from oed_sysid.errors import DataError, ModelError
 
@@ -191,37 +188,6 @@ def test_ship_is_unstable_on_course() -> None:
     )
     assert matrix == pytest.approx(np.array([[-0.5965, -0.3723], [-3.6607, -1.875]]), abs=1e-4)
     assert np.linalg.det(matrix) == pytest.approx(-0.2443, abs=1e-4)
-
-
-def test_loop_on_board() -> None:
-    """In the loop of a vehicle's computer, all six coefficients arrive within 0.3 per cent."""
-    stream = EquationStream(TANKER.model, rule="trapezoid")
-    machines = {equation: RecursiveLSSVM(C=3e5) for equation in stream.equations}
-    for k, moment in enumerate(STEERED.times):
-        sample = {"delta": STEERED.input("delta")[k]}
-        sample |= {name: STEERED.output(name)[k] for name in ("v", "r", "psi")}
-        for row in stream.push(float(moment), sample):
-            machines[row.equation].update(row.features, row.target)
-    for equation, machine in machines.items():
-        for name, value in zip(stream.names(equation), machine.coefficients, strict=True):
-            assert value == pytest.approx(TANKER.truth[name], rel=3e-3)
-
-
-def test_noise_is_averaged_out_with_time() -> None:
-    """With measurement noise the estimates at 300 samples are closer than at 60."""
-    errors = {60: [], 300: []}
-    for seed in range(6):
-        record = simulate(
-            TANKER.model,
-            TANKER.experiment("zigzag_10_10"),
-            rng=np.random.default_rng(seed),
-        )
-        fit = OnlineRegression(C=3e5, rule="trapezoid").fit(TANKER.model, Dataset((record,)))
-        for count, collected in errors.items():
-            track = fit.extras["history"]["N_delta"]
-            at = min(count, len(track)) - 1
-            collected.append(abs(track[at] / TANKER.truth["N_delta"] - 1))
-    assert np.mean(errors[300]) < np.mean(errors[60])
 
 
 PROBLEM_SAILBOAT = load_problem("sailboat")

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from golden_files import restored
 from marks import slow
 from scipy.optimize import minimize
 from turning_ship import CUBIC, GAIN, GYRO_BIAS, NOISE, SAMPLE, SHIP, TIME, dataset, record
@@ -173,12 +172,6 @@ def test_forces_of_an_earlier_fit_are_not_taken_along_where_none_act(disturbed: 
     assert warm.noise is not None
     assert warm.noise.is_white
     np.testing.assert_allclose(warm.estimates, cold.estimates, rtol=1e-4)
-
-
-def test_a_disturbed_fit_survives_its_file(disturbed: Fit, tmp_path) -> None:  # type: ignore[no-untyped-def]
-    """Saved and loaded, it predicts as before."""
-    other, again = dataset(9), restored(disturbed, tmp_path)
-    assert again.predict(other).rms == pytest.approx(disturbed.predict(other).rms, rel=1e-9)
 
 
 def test_an_unmeasured_velocity_is_started_anywhere() -> None:
