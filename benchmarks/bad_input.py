@@ -20,7 +20,7 @@ from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.problem import load_problem
 
 sys.path.insert(0, str(ROOT / "tests"))
-from bad_input import csv_files, problem_files
+from bad_input import csv_files, folder_of, problem_files, written
 
 NOTED_AND_REFUSED = (*csv_files.REFUSED, *csv_files.NOTED)
 PAGE = ROOT / "docs" / "errors.md"
@@ -31,10 +31,8 @@ def csv_message(content: str | bytes) -> str:
     """What is said about a file: the refusal, or what is noted."""
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as noted:
         warnings.simplefilter("always")
-        path = Path(folder) / "log.csv"
-        path.write_bytes(content.encode() if isinstance(content, str) else content)
         try:
-            read_csv(path, csv_files.CHANNELS)
+            read_csv(written(Path(folder) / "log.csv", content), csv_files.CHANNELS)
         except OedSysidError as error:
             return f"{type(error).__name__}: {error}"
         return "Note: " + " ".join(str(one.message) for one in noted) if noted else ""
@@ -43,11 +41,7 @@ def csv_message(content: str | bytes) -> str:
 def problem_message(source: str | dict[str, str | bytes]) -> str:
     """What is said about a problem folder when it is loaded; empty if nothing."""
     with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder).resolve() / "ferry"
-        files = {"problem.py": source} if isinstance(source, str) else source
-        for name, content in files.items():
-            (place / name).parent.mkdir(parents=True, exist_ok=True)
-            (place / name).write_bytes(content.encode() if isinstance(content, str) else content)
+        place = folder_of(Path(folder).resolve() / "ferry", source)
         try:
             load_problem(place)
         except OedSysidError as error:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bad_input import folder_of
 from bad_input.problem_files import REFUSED, SOUND
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
@@ -286,19 +287,9 @@ def test_numbers_of_numpy_are_numbers() -> None:
     assert Limits(rates={"a": np.float64(0.1)}).rates == {"a": 0.1}
 
 
-def write(folder: Path, source: str | dict[str, str | bytes]) -> Path:
-    """Make the folder of an entry."""
-    place = folder / "ferry"
-    for name, content in ({"problem.py": source} if isinstance(source, str) else source).items():
-        target = place / name
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(content.encode() if isinstance(content, str) else content)
-    return place
-
-
 def test_sound_problem_loads(tmp_path: Path) -> None:
     """The problem that the faulty ones are made from is without fault."""
-    problem = load_problem(write(tmp_path, SOUND))
+    problem = load_problem(folder_of(tmp_path / "ferry", SOUND))
     assert problem.model.free_names == ("K", "T")
     assert [effect.name for effect in problem.effects] == ["drag", "bias"]
 
@@ -311,7 +302,7 @@ def test_refused_when_loaded(
 ) -> None:
     """A faulty folder ends in a ProblemError that names the file and what is wrong."""
     with pytest.raises(ProblemError) as caught:
-        load_problem(write(tmp_path, source))
+        load_problem(folder_of(tmp_path / "ferry", source))
     message = str(caught.value)
     assert "ferry" in message
     # A user sees the own file, not the inside of the package.
@@ -323,7 +314,7 @@ def test_refused_when_loaded(
 def test_a_problem_does_not_move_the_process(tmp_path: Path) -> None:
     """What a problem does to the working folder ends with its loading."""
     here = os.getcwd()
-    load_problem(write(tmp_path, SOUND + "import os\nos.chdir('/')\n"))
+    load_problem(folder_of(tmp_path / "ferry", SOUND + "import os\nos.chdir('/')\n"))
     assert os.getcwd() == here
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
+import bad_input
 import numpy as np
 import pytest
 from bad_input.csv_files import CHANNELS, GOOD, NOTED, READ, REFUSED
@@ -135,9 +136,7 @@ def rows(n: int = 12) -> list[str]:
 
 def written(folder: Path, lines: list[str], header: str = HEADER_WORDS) -> Path:
     """A log in a file."""
-    path = folder / "log.csv"
-    path.write_text("\n".join([header, *lines]) + "\n")
-    return path
+    return bad_input.written(folder / "log.csv", "\n".join([header, *lines]) + "\n")
 
 
 def with_row(index: int, text: str) -> list[str]:
@@ -273,18 +272,11 @@ def test_unlikely_units_are_said_although_quiet(tmp_path: Path, capsys) -> None:
         read_csv(milliseconds(tmp_path, "s"), SHIP)
 
 
-def write(folder: Path, content: str | bytes) -> Path:
-    """Put a file of the catalogue into a folder."""
-    path = folder / "log.csv"
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return path
-
-
 def read_of_csv(folder: Path, content: str | bytes) -> tuple[Record, str]:
     """The record in a file, and what was noted about it."""
     with warnings.catch_warnings(record=True) as noted:
         warnings.simplefilter("always")
-        record = read_csv(write(folder, content), CHANNELS)[0]
+        record = read_csv(bad_input.written(folder / "log.csv", content), CHANNELS)[0]
     return record, " ".join(str(one.message) for one in noted)
 
 
@@ -298,7 +290,7 @@ def test_refused_in_its_own_words(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with pytest.raises(DataError) as caught:
-            read_csv(write(tmp_path, content), CHANNELS)
+            read_csv(bad_input.written(tmp_path / "log.csv", content), CHANNELS)
     message = str(caught.value)
     for word in words:
         assert word in message

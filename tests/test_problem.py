@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bad_input import folder_of
 from vehicles import remus, ship
 
 import oed_sysid
@@ -54,19 +55,12 @@ problem = Problem("barge", model)
 """
 
 
-def write(folder: Path, text: str) -> Path:
-    """Write a problem.py and return its folder."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "problem.py").write_text(text)
-    return folder
-
-
 @pytest.fixture
 def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A catalogue with two problems."""
     folder = tmp_path / "catalogue"
-    write(folder / "river_barge", SOURCE)
-    write(folder / "harbour_tug", SOURCE)
+    folder_of(folder / "river_barge", SOURCE)
+    folder_of(folder / "harbour_tug", SOURCE)
     (folder / "README.md").write_text("no problem")
     monkeypatch.setattr(catalogue, "catalogue_folder", lambda: folder)
     return folder
@@ -74,7 +68,7 @@ def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_shipped_problems_are_listed_and_loaded_by_name(shipped: Path) -> None:
     """Names are those of the folders; listing executes nothing."""
-    write(shipped / "broken", "raise RuntimeError")
+    folder_of(shipped / "broken", "raise RuntimeError")
     assert list_problems() == ("broken", "harbour_tug", "river_barge")
     assert load_problem("river_barge").name == "barge"
 
@@ -94,11 +88,11 @@ def test_own_folder_by_any_kind_of_path(
     tmp_path: Path, shipped: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Path, text, file and a plain word all lead to the user's folder; edits are seen."""
-    folder = write(tmp_path / "mine", SOURCE)
+    folder = folder_of(tmp_path / "mine", SOURCE)
     monkeypatch.chdir(tmp_path)
     for given in (folder, str(folder), folder / "problem.py", "mine", "./mine"):
         assert load_problem(given).name == "barge"
-    write(folder, SOURCE.replace('Problem("barge"', 'Problem("raft"'))
+    folder_of(folder, SOURCE.replace('Problem("barge"', 'Problem("raft"'))
     assert load_problem(folder).name == "raft"
     assert [path.name for path in folder.iterdir()] == ["problem.py"]
 
@@ -107,7 +101,7 @@ def test_shipped_name_wins_over_a_folder_of_that_name(
     tmp_path: Path, shipped: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A plain word means the shipped problem; './word' means the folder."""
-    write(tmp_path / "river_barge", SOURCE.replace('Problem("barge"', 'Problem("mine"'))
+    folder_of(tmp_path / "river_barge", SOURCE.replace('Problem("barge"', 'Problem("mine"'))
     monkeypatch.chdir(tmp_path)
     assert load_problem("river_barge").name == "barge"
     assert load_problem("./river_barge").name == "mine"
