@@ -26,20 +26,18 @@ from benchmarks.design import CRITERIA as OURS
 from benchmarks.design import remus
 from benchmarks.fit_peers import run_peer
 from benchmarks.harness import command, known, machine
-from oed_sysid import Experiment, Limits
+from oed_sysid import Experiment
 from oed_sysid.design import Design, Knowledge, Levels, Search, design_experiment
 from oed_sysid.design.library import as_piecewise
 from oed_sysid.experiments.simulation import Trajectory, simulate, simulate_inputs
 from oed_sysid.information import information_of
 from oed_sysid.physics.model import Model
 
-STEP, THRUST = 0.5, 9.0
-REACH = radians(20)
-LIMITS = Limits(
-    {"fin_command": (-REACH, REACH)},
-    signals={"theta": (-radians(45), radians(45)), "z": (2.0, 60.0)},
-)
-INITIAL = {"u": 1.519, "z": 20.0}
+VEHICLE = remus()
+STEP = VEHICLE.sample_time
+# The peer knows no limits of rates.
+LIMITS = replace(VEHICLE.vehicle, rates={})
+REACH = LIMITS.inputs["fin_command"][1]
 LONGEST = 480.0
 # Of Pyomo.DoE: scale of sensitivities, relative step of differences, margin of pitch, solver.
 SCALE, DIFFERENCE, MARGIN, IPOPT = 1e-3, 1e-2, radians(0.5), ("max_iter=500",)
@@ -56,9 +54,8 @@ class Case:
     @property
     def model(self) -> Model:
         """Our model with these parameters free and no priors."""
-        model = remus().model
-        held = [name for name in model.free_names if self.free and name not in self.free]
-        return model.fix(*held)
+        names = VEHICLE.model.free_names
+        return VEHICLE.model.fix(*(n for n in names if self.free and n not in self.free))
 
     @property
     def owner(self) -> np.ndarray:
@@ -85,7 +82,7 @@ def designed(case: Case, n_starts: int = 3, criterion: str = "D") -> Design:
     """Design by us, with the settings that a user gets, but one thread."""
     return design_experiment(
         case.model,
-        replace(remus(), duration=case.duration).trial(LIMITS),
+        replace(VEHICLE, duration=case.duration).trial(LIMITS),
         criterion=OURS[criterion],
         rng=np.random.default_rng(1),
         search=Search(family=Levels(case.n_levels), n_starts=n_starts, n_workers=1),
@@ -99,7 +96,8 @@ def played(case: Case, levels: np.ndarray) -> Experiment:
     fin = np.where(owner < 0, 0.0, np.asarray(levels)[owner])
     return Experiment(
         "levels", (as_piecewise("fin_command", STEP * np.arange(len(owner)), fin),),
-        duration=case.duration, sample_time=STEP, constants={"thrust": THRUST}, initial=INITIAL,
+        duration=case.duration, sample_time=STEP, constants=VEHICLE.constants,
+        initial=VEHICLE.initial,
     )  # fmt: skip
 
 
@@ -115,7 +113,7 @@ def judge(case: Case, levels: np.ndarray) -> tuple[dict[str, float], np.ndarray,
         "E": float(1.0 / np.sqrt(np.linalg.eigvalsh(matrix)[0])),
     }
     record = simulate(model, experiment, noise=False)
-    run = simulate_inputs(model, record.times, inputs=record.inputs, initial=INITIAL)
+    run = simulate_inputs(model, record.times, inputs=record.inputs, initial=VEHICLE.initial)
     return value, found.std_errors / sizes, run
 
 
@@ -178,7 +176,7 @@ def compare(
         np.savez(
             path, objective=np.array(CRITERIA[asked]), times=run.times, owner=case.owner,
             start=guess[0], levels=first, guess=guess, corridor=np.stack([low, high]), reach=REACH,
-            thrust=THRUST, free=np.array(free), scale=SCALE, step=DIFFERENCE,
+            thrust=VEHICLE.constants["thrust"], free=np.array(free), scale=SCALE, step=DIFFERENCE,
             options=np.array(IPOPT),
         )  # fmt: skip
         found = run_peer(("benchmarks.peers.pyomo_doe",), path, [python], LONGEST)
