@@ -7,11 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from benchmarks import truth
 from oed_sysid import Dataset, Record, load_problem
 
 PROBLEM = load_problem("remus_diving_plane")
-NOISE = np.array([0.02, 0.02, 0.004, 0.004, 0.03])
-MASS, INERTIA = 30.48, 3.45
 SUBSTEPS = 5
 
 # Extra generalized forces (X, Z, M) as a function of u, w, q, theta, z, fin, thrust.
@@ -35,28 +34,12 @@ def derivatives(rng: np.random.Generator) -> dict[str, float]:
 
 
 def rates(
-    state: np.ndarray, fin: float, thrust: float, true: dict[str, float], extra: Extra
+    state: np.ndarray, _: int, fin: float, thrust: float, true: dict[str, float], extra: Extra
 ) -> np.ndarray:
     """Rates of u, w, q, theta, z."""
-    u, w, q, theta, z = state
-    x, heave, pitch = extra(u, w, q, theta, z, fin, thrust)
-    x += true["X_uu"] * u * abs(u) + thrust - MASS * q * w
-    heave += MASS * u * q + true["Z_uw"] * u * w + true["Z_uq"] * u * q
-    heave += true["Z_uuds"] * u * u * fin
-    pitch += true["M_uw"] * u * w + true["M_uq"] * u * q + true["M_uuds"] * u * u * fin
-    pitch -= true["zgW"] * math.sin(theta)
-    # (m - Z_wdot) w' - Z_qdot q' = Z,  -M_wdot w' + (I - M_qdot) q' = M
-    a, b, d = MASS + 35.5, 1.93, INERTIA + 4.88
-    det = a * d - b * b
-    return np.array(
-        [
-            x / (MASS + 0.93),
-            (d * heave - b * pitch) / det,
-            (a * pitch - b * heave) / det,
-            q,
-            -u * math.sin(theta) + w * math.cos(theta),
-        ]
-    )
+    push = extra(*state, fin, thrust)
+    own = [true[name] for name in truth.NAMES]
+    return np.array(truth.rates(state, (fin, thrust), own, math.sin, math.cos, push))
 
 
 def simulate(
@@ -82,7 +65,7 @@ def simulate(
     times = np.arange(0.0, duration, 0.1)
     state = np.array([math.sqrt(thrust / 3.9), 0.0, 0.0, 0.0, 10.0])
     state[:4] += 0.01 * rng.standard_normal(4)
-    truth, inputs = np.empty((len(times), 5)), np.empty((len(times), 2))
+    clean, inputs = np.empty((len(times), 5)), np.empty((len(times), 2))
     command, held = amplitude, 0
     for k, t in enumerate(times):
         if switch > 0:
@@ -94,15 +77,11 @@ def simulate(
         held -= 1
         sent = command if t >= 2.0 else 0.0
         push = thrust * (1.0 if t < duration / 2 else boost)
-        truth[k], inputs[k] = state, (sent, push)
+        clean[k], inputs[k] = state, (sent, push)
         fin, step = fin_of(sent), 0.1 / SUBSTEPS
         for _ in range(SUBSTEPS):
-            k1 = rates(state, fin, push, true, extra)
-            k2 = rates(state + step / 2 * k1, fin, push, true, extra)
-            k3 = rates(state + step / 2 * k2, fin, push, true, extra)
-            k4 = rates(state + step * k3, fin, push, true, extra)
-            state = state + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    outputs = sensors(truth) + noise * NOISE * rng.standard_normal(truth.shape)
+            state = truth.runge_kutta(rates, state, step, fin, push, true, extra)
+    outputs = sensors(clean) + noise * truth.NOISE * rng.standard_normal(clean.shape)
     return Record(name, times, inputs, outputs, PROBLEM.channels)
 
 

@@ -16,6 +16,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from vehicles import remus, roll_oscillator
 
+from benchmarks import truth
 from oed_sysid import Input, Model, Output, Parameter, State
 from oed_sysid import physics as effects
 from oed_sysid.compiled import compile as compiling
@@ -131,26 +132,14 @@ def test_sensitivities_equal_finite_differences() -> None:
         np.testing.assert_allclose(exact[:, :, column], difference, atol=2e-6, rtol=1e-5)
 
 
-def rates_by_hand(t: float, x: np.ndarray, fin: float, thrust: float) -> np.ndarray:
-    """REMUS-like diving plane written out in NumPy, from the paper and not from the model."""
-    u, w, q, theta, _ = x
-    surge = -3.9 * u * abs(u) + thrust - 30.48 * q * w
-    heave = 30.48 * u * q - 40.0 * u * w - 9.0 * u * q - 12.0 * u**2 * fin
-    pitch = 14.0 * u * w - 9.0 * u * q - 6.15 * u**2 * fin - 5.9 * np.sin(theta)
-    mass = np.array([[30.48 + 35.5, 1.93], [1.93, 3.45 + 4.88]])
-    w_dot, q_dot = np.linalg.solve(mass, [heave, pitch])
-    z_dot = -u * np.sin(theta) + w * np.cos(theta)
-    return np.array([surge / (30.48 + 0.93), w_dot, q_dot, q, z_dot])
-
-
 def by_hand(times: np.ndarray) -> np.ndarray:
     """States at the samples by an adaptive integrator, ``(n_times, 5)``."""
     inputs, states = commands(times), [START]
     for k in range(len(times) - 1):
-        span = (times[k], times[k + 1])
         step = solve_ivp(
-            rates_by_hand, span, states[-1], "DOP853", args=tuple(inputs[k]), rtol=1e-11, atol=1e-12
-        )
+            lambda _, x, *command: truth.rates(x, command, truth.TRUE, np.sin, np.cos),
+            (times[k], times[k + 1]), states[-1], "DOP853", args=inputs[k], rtol=1e-11, atol=1e-12,
+        )  # fmt: skip
         states.append(step.y[:, -1])
     return np.array(states)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.truth import runge_kutta
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State
 
 TRUE = {"K": 0.12, "T": 8.0, "alpha": 12.0}
@@ -31,9 +32,9 @@ def yaw_model(**changes: Parameter) -> Model:
 def simulate_yaw(
     times: np.ndarray, delta: np.ndarray, start: np.ndarray, values: dict[str, float]
 ) -> np.ndarray:
-    """Heading and rate by a Runge-Kutta method written out here, ``(n_times, 2)``."""
+    """Heading and rate by a Runge-Kutta method without the package, ``(n_times, 2)``."""
 
-    def rate(state: np.ndarray, rudder: float) -> np.ndarray:
+    def rate(state: np.ndarray, _: int, rudder: float) -> np.ndarray:
         r = state[1]
         return np.array([r, (values["K"] * rudder - r - values["alpha"] * r**3) / values["T"]])
 
@@ -44,11 +45,7 @@ def simulate_yaw(
         h = (times[k + 1] - times[k]) / n
         x = states[k]
         for _ in range(n):
-            k1 = rate(x, delta[k])
-            k2 = rate(x + h / 2 * k1, delta[k])
-            k3 = rate(x + h / 2 * k2, delta[k])
-            k4 = rate(x + h * k3, delta[k])
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            x = runge_kutta(rate, x, h, delta[k])
         states[k + 1] = x
     return states
 
