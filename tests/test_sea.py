@@ -17,6 +17,7 @@ from simple_models import nomoto
 from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import simulate, true_values
 from benchmarks.random_forces.trial import believed, dataset, nominal_model
+from benchmarks.truth import gauss_markov
 from oed_sysid import Dataset, Fit, Force, Model, Record, Sea, Solver, improve, load_problem
 from oed_sysid.compiled.filtering import narrow_band
 from oed_sysid.errors import ModelError
@@ -66,11 +67,7 @@ def resonator(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def gusts(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A first-order process of 5 s and a standard deviation of one."""
-    memory = np.exp(-(times[1] - times[0]) / 5.0)
-    values = [rng.standard_normal()]
-    for draw in rng.standard_normal(len(times) - 1):
-        values.append(memory * values[-1] + np.sqrt(1 - memory**2) * draw)
-    return np.array(values)
+    return gauss_markov(rng.standard_normal(len(times)), np.exp(-(times[1] - times[0]) / 5.0))
 
 
 def swells(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:

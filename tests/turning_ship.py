@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 
+from benchmarks.truth import gauss_markov
 from oed_sysid import Dataset, Force, Input, Model, Output, Parameter, Record, State, improve
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.physics import Effect, Sensor, actuator_lag, actuator_offset, sensor_bias
@@ -64,10 +65,7 @@ def record(name: str, rng: np.random.Generator, cubic: float = 0.0, **noise: flo
             state = state + h * middle
         drive = noise.get("force", 0.0) * np.sqrt(1 - memory**2)
         force = memory * force + drive * rng.standard_normal()
-    error, colour = rng.standard_normal(outputs.shape), noise.get("colour", 0.0)
-    for k in range(1, len(t)):
-        error[k] = colour * error[k - 1] + np.sqrt(1 - colour**2) * error[k]
-    outputs += NOISE * error
+    outputs += NOISE * gauss_markov(rng.standard_normal(outputs.shape), noise.get("colour", 0.0))
     return Record(name, t, rudder[:, None], outputs, SHIP.channels)
 
 
