@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from motion import outputs, states
+from dataclasses import replace
 
-from oed_sysid import Actuator, Force, Input, Memory, Model, Output, Parameter, Sensor, State
+from motion import outputs
+from vehicles import remus
+
+from oed_sysid import Input, Model, Output, Parameter, State
+from oed_sysid.physics import actuator_lag, sensor_lag
 
 K, T = 0.08, 12.0
 
@@ -37,39 +41,12 @@ PENDULUM = Model(
     kinematics={"angle": "rate", "rate": "-4*sin(angle)"},
     step=0.01,
 )
-# Diving plane of a small AUV; actuator lag and depth-sensor lag have memory.
-AUV = Model(
-    "AUV",
-    states=states("u w q theta z", w=0.1, q=0.1, theta=0.1),
+# Diving plane of an AUV, one parameter free; actuator lag and depth-sensor lag have memory.
+AUV = replace(
+    remus() + actuator_lag("fin_lag", "ds", value=0.3) + sensor_lag("depth_lag", "z", value=0.5),
+    name="AUV",
     inputs=(Input("fin", "rad"), Input("thrust", "N")),
-    outputs=outputs("q theta z", q=0.004, theta=0.004, z=0.03),
-    axes={"X": "u", "Z": "w", "M": "q"},
-    inertia={
-        **{("X", "u"): "31.4", ("Z", "w"): "66", ("M", "q"): "8.33"},
-        **{("Z", "q"): "1.93", ("M", "w"): "1.93"},
-    },
-    kinematics={"theta": "q", "z": "-u*sin(theta) + w*cos(theta)"},
     actuators={"ds": "fin", "T": "thrust"},
-    effects=(
-        Force(
-            "hull",
-            {
-                "X": "X_uu*u*abs(u) + T - 30.5*q*w",
-                "Z": "30.5*u*q - 40*u*w - 9*u*q - 12*u**2*ds",
-                "M": "14*u*w - 9*u*q - 6.15*u**2*ds - 5.9*sin(theta)",
-            },
-            (Parameter("X_uu", -3.9, "kg/m"),),
-        ),
-        Actuator(
-            "fin_lag",
-            {"ds": "ds + (before - ds)*0.3/h*(1 - exp(-h/0.3))"},
-            memory=(Memory("before", "ds + (before - ds)*exp(-h/0.3)", "fin"),),
-        ),
-        Sensor(
-            "depth_lag",
-            {"z": "lagged"},
-            definitions={"lagged": "z + (before - z)*exp(-h/0.5)"},
-            memory=(Memory("before", "lagged", "z"),),
-        ),
-    ),
+    outputs=outputs("q theta z", q=0.004, theta=0.004, z=0.03),
 )
+AUV = AUV.fix(*(name for name in AUV.free_names if name != "X_absuu"))

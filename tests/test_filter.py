@@ -150,7 +150,7 @@ def test_compiled_filter_is_the_interpreted_one(
     def run(filter_: FilterKernel) -> FilterPass:
         along = Along(times, inputs, values, own, measured, noise, longest_step=longest_step)
         return filter_.filter(
-            along, names=("X_uu",), levels=levels, rows=True, gains=True, moves=True
+            along, names=("X_absuu",), levels=levels, rows=True, gains=True, moves=True
         )
 
     assert_same(run(kernel), run(interpreted(kernel)))
@@ -168,11 +168,11 @@ def test_replay_repeats_the_filter_and_shows_what_a_value_changes(
     own = np.array([1.5, 0.02, 0.0, 0.05, 2.0])
     step = 1e-5
     moved = values.copy()
-    moved[kernel.model.parameter_names.index("X_uu")] += step
+    moved[kernel.model.parameter_names.index("X_absuu")] += step
     slopes = []
     for filter_ in (kernel, interpreted(kernel)):
         along = Along(times, inputs, values, own, measured, noise, longest_step=longest_step)
-        found = filter_.filter(along, names=("X_uu",), own_columns=False, rows=True, gains=True)
+        found = filter_.filter(along, names=("X_absuu",), own_columns=False, rows=True, gains=True)
         assert found.gains is not None
         assert found.rows is not None
         same, other = (

@@ -219,14 +219,14 @@ def test_batch_equals_loop(n_workers: int) -> None:
     """Every member is what a single simulation gives, whatever the number of threads."""
     rng = np.random.default_rng(2)
     times = np.arange(0, 30, 0.2)
-    values = np.array([-3.9, -4.5, -2.0, -3.0, -8.0])[:, np.newaxis]
+    models = [AUV.with_values({"X_absuu": drag}) for drag in (-3.9, -4.5, -2.0, -3.0, -8.0)]
+    values = np.array([model.value_vector for model in models])
     inputs = rng.normal(size=(5, len(times), 2)) * [0.1, 1.0] + [0.0, 9.0]
     starts = np.column_stack([rng.uniform(1, 2, 5), np.zeros((5, 3)), rng.uniform(5, 15, 5)])
     together = simulate_batch(
         AUV, times, inputs=inputs, values=values, initials=starts, n_workers=n_workers
     )
-    for member in range(5):
-        model = AUV.with_values({"X_uu": float(values[member, 0])})
+    for member, model in enumerate(models):
         alone = simulate_inputs(model, times, inputs=inputs[member], initial=starts[member])
         np.testing.assert_array_equal(together[member], alone.outputs)
 
@@ -312,7 +312,7 @@ def test_equilibrium_of_a_dive() -> None:
 
 
 def test_equilibrium_solves_for_inputs_within_limits() -> None:
-    """Level flight at 1.5 m/s needs thrust -X_uu u^2; where the limit forbids it, it says so."""
+    """Level flight at 1.5 m/s needs thrust -X_absuu u^2; where the limit forbids it, it says so."""
     level = {"fixed": {"u": 1.5, "z": 10.0}, "free": ["fin", "thrust"]}
     wanted = ["u", "w", "q", "theta", "z"]
     trim = equilibrium(AUV, **level, steady=wanted)
