@@ -18,7 +18,6 @@ from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model, yaw_reco
 from oed_sysid import (
     Dataset,
     Fit,
-    Force,
     Input,
     Model,
     MultipleShooting,
@@ -31,6 +30,7 @@ from oed_sysid import (
 from oed_sysid.errors import ModelError, OedSysidError
 from oed_sysid.likelihood.multistart import profile
 from oed_sysid.likelihood.replay import replayed
+from oed_sysid.physics import hull_derivatives
 
 START = {"K": 0.08, "T": 12.0, "alpha": 6.0}
 ESTIMATOR = MultipleShooting(noise=NOISE, coloured="never", disturbances="none")
@@ -325,30 +325,14 @@ def test_free_scale_is_named() -> None:
 
 def _heave_model() -> Model:
     """Heave without any force of known size: ``A_w w' = Z_uw u w + Z_uq u q + Z_uuds u^2 ds``."""
-    model = remus()
-    hull = Force(
-        "hull",
-        {
-            "X": "X_absuu*u*abs(u) + T",
-            "Z": "Z_uw*u*w + Z_uq*u*q + Z_uuds*u**2*ds",
-            "M": "M_uw*u*w + M_uq*u*q + M_uuds*u**2*ds",
-        },
-        tuple(
-            Parameter(n, v)
-            for n, v in {
-                "X_absuu": -3.9,
-                "Z_uw": -40.0,
-                "Z_uq": -20.0,
-                "Z_uuds": -12.0,
-                "M_uw": 14.0,
-                "M_uq": -9.0,
-                "M_uuds": -6.15,
-                "A_w": 66.0,
-            }.items()
-        ),
+    model = remus().with_values({"Z_uq": -20.0})
+    hull, righting = model.effects
+    return replace(
+        model,
+        inertia={("X", "u"): "m", ("Z", "w"): "A_w", ("M", "q"): "I_yy"},
+        effects=(hull_derivatives("hull", hull.parameters, extra={"X": "T"}), righting),
+        parameters=(*model.parameters, Parameter("A_w", 66.0)),
     )
-    inertia = {("X", "u"): "m", ("Z", "w"): "A_w", ("M", "q"): "I_yy"}
-    return replace(model, inertia=inertia, effects=(hull, model.effects[1]))
 
 
 def test_interrupted_fit_can_be_resumed() -> None:
