@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reference import reference_trajectory
+from scipy.integrate import solve_ivp
 from simple_models import AUV, NOMOTO, PENDULUM, K, T
 
+from benchmarks import truth
 from oed_sysid import Experiment, Input, Limits, Model, Output, State
 from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.experiments import manoeuvres as m
@@ -49,29 +50,36 @@ def test_pendulum_keeps_its_energy() -> None:
     assert np.ptp(energy) < 1e-7 * 4
 
 
-def test_order_four_against_the_reference() -> None:
-    """Halving the step divides the error by 16, as Runge-Kutta's order 4 says."""
-    times = np.linspace(0.0, 10.0, 26)
-    exact = reference_trajectory(PENDULUM, times, inputs={}, initial=[0.5, 0.0])
-    errors = []
-    for step in (0.1, 0.05, 0.025):
-        run = simulate_inputs(replace(PENDULUM, step=step), times, inputs={}, initial=[0.5, 0.0])
-        errors.append(np.abs(run.states - exact.states).max())
-    orders = np.log2(np.divide(errors[:-1], errors[1:]))
-    np.testing.assert_allclose(orders, 4.0, atol=0.1)
+def moving(t: float, x: np.ndarray, fin: float, slope: float) -> tuple[float, ...]:
+    """Rates of the diving plane, without the package."""
+    return truth.rates(x, (fin + slope * t, 9.0), truth.TRUE, np.sin, np.cos)
 
 
-def test_reference_agrees_with_memory_and_linear_inputs() -> None:
-    """Actuator and sensor memory move alike in kernel and reference, for held and linear inputs."""
-    times = np.linspace(0.0, 12.0, 61)
-    for interpolation in ("hold", "linear"):
-        inputs = tuple(replace(channel, interpolation=interpolation) for channel in AUV.inputs)
-        model = replace(AUV, inputs=inputs, step=0.05)
-        commands = {"fin": 0.2 * np.sin(times), "thrust": 9.0}
-        start = {"u": 1.5, "z": 10.0}
-        run = simulate_inputs(model, times, inputs=commands, initial=start)
-        exact = reference_trajectory(model, times, inputs=commands, initial=start)
-        np.testing.assert_allclose(run.outputs, exact.outputs, atol=3e-6)
+@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+def test_memory_moves_as_in_a_simulation_with_error_control(interpolation: str) -> None:
+    """Lags of the fin and of the depth's sensor, for held and for linear commands."""
+    times, step, start = np.linspace(0.0, 12.0, 61), 0.05, np.array([1.5, 0.0, 0.0, 0.0, 10.0])
+    commands = 0.2 * np.sin(times)
+    inputs = tuple(replace(channel, interpolation=interpolation) for channel in AUV.inputs)
+    run = simulate_inputs(
+        replace(AUV, inputs=inputs, step=step), times,
+        inputs={"fin": commands, "thrust": 9.0}, initial=start,
+    )  # fmt: skip
+    state, fin, depth, expected = start, commands[0], start[4], [start[2:]]
+    fades, slow = np.exp(-step / 0.3), np.exp(-0.2 / 0.5)
+    share = 0.3 / step * (1 - fades)
+    for command, change in zip(commands, np.diff(commands), strict=False):
+        before, slope = state[4], (interpolation == "linear") * change / 0.2
+        for begin in command + slope * step * np.arange(4):
+            acts = begin + (fin - begin) * share, slope * (1 - share)
+            order = begin + slope * step / 2
+            fin = order + (fin - order) * fades
+            path = solve_ivp(moving, (0.0, step), state, args=acts, rtol=1e-9, atol=1e-11)
+            state = path.y[:, -1]
+        behind = 0.5 * (state[4] - before) / 0.2
+        depth = state[4] - behind + (depth - before + behind) * slow
+        expected.append(np.array([state[2], state[3], depth]))
+    np.testing.assert_allclose(run.outputs, expected, atol=3e-6)
 
 
 def test_zigzag_reverses_on_what_is_measured() -> None:
