@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 import turning_ship
-from diving_plane import PROBLEM, records
 from golden_files import restored
 from marks import slow
 from scipy import stats
@@ -21,6 +20,9 @@ from turning_ship import CANDIDATES, GYRO_BIAS, NOISE, SHIP, dataset
 from turning_ship import CUBIC as DAMPING
 from turning_ship import improved as improved_ship
 
+from benchmarks.missing_physics.cases import true_derivatives
+from benchmarks.missing_physics.judge import datasets, nominal
+from benchmarks.missing_physics.simulator import TEST, TRAIN, Case, simulate
 from oed_sysid.data.dataset import Dataset, Record, read_csv
 from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.evidence import improvement
@@ -166,8 +168,16 @@ def test_errors_of_a_search_and_of_a_comparison_are_the_same() -> None:
     np.testing.assert_allclose([2.0 * part.relative for part in doubled.models], errors, rtol=2e-3)
 
 
-DRAG = -120.0
+PROBLEM, DRAG = nominal(), -120.0
 CROSSFLOW = Force("drag", {"Z": "Z_d*w*abs(w)"}, (Parameter("Z_d", 0.0, "kg/m", scale=100.0),))
+
+
+def records(seed: int, duration: float = 40.0, **hidden: float) -> Dataset:
+    """Steps and a zigzag of a vehicle with these hidden effects, its derivatives drawn."""
+    case = Case("test", true_derivatives(np.random.default_rng(seed)), hidden, seed=seed)
+    (found,) = simulate([case], (*TRAIN, *TEST))
+    train, _ = datasets(PROBLEM, found)
+    return Dataset([record.window(0.0, duration) for record in train.records[:2]])
 
 
 def begun(train):  # type: ignore[no-untyped-def]
@@ -178,7 +188,7 @@ def begun(train):  # type: ignore[no-untyped-def]
 @pytest.fixture(scope="module")
 def drag():  # type: ignore[no-untyped-def]
     """Records of a vehicle with a cross-flow drag that the model lacks."""
-    train, _, _ = records(1, lambda u, w, q, *_: (0.0, DRAG * w * abs(w), 0.0), duration=40.0)
+    train = records(1, heave_crossflow_drag=DRAG)
     study, fit = begun(train)
     return train, study, fit
 
@@ -207,7 +217,7 @@ def test_a_missing_heave_force_is_found_in_the_heave_equation(drag) -> None:  # 
 
 def test_standard_errors_of_residual_forces_are_honest() -> None:
     """Without missing physics the smoothed force is noise of the size that it states."""
-    train, _, _ = records(2, duration=40.0)
+    train = records(2)
     study, fit = begun(train)
     found = locate(fit, study.unit)
     assert found.best is None
@@ -218,18 +228,16 @@ def test_standard_errors_of_residual_forces_are_honest() -> None:
 
 
 @pytest.mark.parametrize(
-    ("place", "options"),
+    ("place", "hidden"),
     [
-        ("actuator ds", {"fin_of": lambda command: command + 0.03}),
-        ("sensor q", {"sensors": lambda truth: truth + np.array([0, 0, 0.006, 0, 0])}),
-        *slow(("force M", {"extra": lambda u, w, q, *_: (0.0, 0.0, -70.0 * q * abs(q))})),
+        ("actuator ds", {"fin_offset": 0.03}),
+        ("sensor q", {"bias_q": 0.006}),
+        *slow(("force M", {"pitch_quadratic_damping": -70.0})),
     ],
 )
-def test_other_stages_are_told_apart(place: str, options: dict) -> None:  # type: ignore[type-arg]
+def test_other_stages_are_told_apart(place: str, hidden: dict[str, float]) -> None:
     """A bent fin, a biased gyro and a pitch damping are each found where they are."""
-    extra = options.pop("extra", lambda *_: (0.0, 0.0, 0.0))
-    train, _, _ = records(3, extra, duration=40.0, **options)
-    study, fit = begun(train)
+    study, fit = begun(records(3, **hidden))
     assert locate(fit, study.unit).best == place
 
 
@@ -317,7 +325,7 @@ def test_coefficients_get_another_name_where_theirs_is_taken() -> None:
 
 def test_scores_are_those_of_the_wider_model() -> None:
     """A term's statistic is what its column on a filter that holds it as a parameter gives."""
-    train, _, _ = records(1, duration=20.0)
+    train = records(1, 20.0)
     term = Term("M", "abs(q)*q", (("q", True), ("q", False)))
     effect = term.effect(PROBLEM.model, UNITS, 1.0)
     study, fit = Study.begin(PROBLEM.model, train, None, (), known_noise=True)
@@ -342,7 +350,7 @@ def test_scores_are_those_of_the_wider_model() -> None:
 @pytest.mark.slow
 def test_a_cubic_damping_is_proposed_with_its_value() -> None:
     """The true term comes first, in its equation, near its value, and removes the misfit."""
-    train, _, _ = records(4, lambda u, w, q, *_: (0.0, 0.0, -250.0 * q**3), duration=45.0)
+    train = records(4, 45.0, unknown_cubic_pitch_damping=-250.0)
     study, fit = Study.begin(PROBLEM.model, train, None, (), known_noise=False)
     found = propose(study, fit, n_refits=4)
     assert found.best is not None
@@ -356,7 +364,7 @@ def test_a_cubic_damping_is_proposed_with_its_value() -> None:
 @pytest.mark.slow
 def test_nothing_is_proposed_where_nothing_is_missing() -> None:
     """Noise alone gives no claim, however many terms are looked at."""
-    train, _, _ = records(5, duration=40.0)
+    train = records(5)
     study, fit = Study.begin(PROBLEM.model, train, None, (), known_noise=False)
     found = propose(study, fit, n_refits=3)
     assert found.best is None
