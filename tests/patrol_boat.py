@@ -26,20 +26,14 @@ BOAT = Model(
     ),
     step=0.2,
 )
-# What is written in place of the rudder angle that acts, of times and angles.
-Written = Callable[[np.ndarray, np.ndarray], np.ndarray]
+# What is written in place of the rudder angles that act.
+Written = Callable[[np.ndarray], np.ndarray]
 
 
-def sailed(
-    seed: int, written: Written = lambda t, y: y, *, sea: float = 0.0, angle: float = 0.35
-) -> Record:
-    """A zigzag by heading of 120 s at 6 m/s, then 4.5 m/s; by Euler's method in fiftieths.
-
-    A ``sea`` of periods of 5 to 10 s moves sway and yaw, both in their own phases.
-    """
+def sailed(seed: int, written: Written, angle: float) -> Record:
+    """A zigzag by heading of 120 s at 6 m/s, then 4.5 m/s; by Euler's method in fiftieths."""
     rng, h = np.random.default_rng(seed), 0.02
     values = {name: value * (1.0 + 0.1 * rng.standard_normal()) for name, value in TRUE.items()}
-    rates, phases = rng.uniform(0.6, 1.3, 12), rng.uniform(0.0, 2.0 * np.pi, (2, 12))
     x, psi, rudder, goal, rows = np.array([6.0, 0.0, 0.0]), 0.0, 0.0, angle, []
     for k in range(6001):
         u, v, r = x
@@ -48,22 +42,18 @@ def sailed(
         if k % 10 == 0:
             rudder += np.clip(goal - rudder, -0.02, 0.02)
             rows.append((0.1 * k / 5.0, rudder, power, *x))
-        waves = sea * np.array([0.05, 0.01]) * np.sin(rates * h * k + phases).sum(axis=1)
         x = x + h * np.array([
             (power - u) / 8.0,
-            values["Y_u"] * v * u / 4.0 + values["Y_r"] * u * r
-            + values["Y_d"] * u**2 * rudder / 6.0 + waves[0],
-            values["N_v"] * u * v + values["N_r"] * u * r
-            + values["N_d"] * u**2 * rudder / 6.0 + waves[1],
+            values["Y_u"] * v * u / 4.0 + values["Y_r"] * u * r + values["Y_d"] * u**2 * rudder / 6,
+            values["N_v"] * u * v + values["N_r"] * u * r + values["N_d"] * u**2 * rudder / 6,
         ])  # fmt: skip
         psi += h * r
     times, rudder, power, *states = np.array(rows).T
-    inputs = np.column_stack([written(times, rudder), power])
+    inputs = np.column_stack([written(rudder), power])
     outputs = np.column_stack(states) + NOISE * rng.standard_normal((times.size, 3))
     return Record(f"zigzag_{seed}_{angle:g}", times, inputs, outputs, BOAT.channels)
 
 
-def sailings(seed: int, written: Written = lambda t, y: y, *, sea: float = 0.0) -> Dataset:
+def sailings(seed: int, written: Written = lambda angle: angle) -> Dataset:
     """Zigzags of 10 and 20 degrees."""
-    angles = (0.175, 0.35)
-    return Dataset(tuple(sailed(seed, written, sea=sea, angle=angle) for angle in angles))
+    return Dataset(tuple(sailed(seed, written, angle) for angle in (0.175, 0.35)))

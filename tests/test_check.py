@@ -738,7 +738,7 @@ def test_a_parameter_that_is_another_one_in_one_run_is_named(dives_inputs) -> No
 def test_an_offset_of_an_input_is_told_and_is_no_delay(seed: int) -> None:
     """A rudder whose zero is off by 0.05 rad where the speed changes; a right one says nothing."""
     assert check(patrol_boat.sailings(seed), patrol_boat.BOAT).findings == ()
-    logged = patrol_boat.sailings(seed, lambda _, angle: angle + 0.05)
+    logged = patrol_boat.sailings(seed, lambda angle: angle + 0.05)
     (one,) = check(logged, patrol_boat.BOAT).findings
     assert (one.kind, one.signals, one.suspect) == ("bias", ("rudder",), False)
     assert one.size == pytest.approx(0.05, abs=0.0025)
@@ -748,7 +748,7 @@ def test_an_offset_of_an_input_is_told_and_is_no_delay(seed: int) -> None:
 def test_an_input_that_is_stuck_is_told_from_a_late_one(seed: int) -> None:
     """A rudder angle that stands still from the middle on, while the boat goes on turning."""
 
-    def stuck(_: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    def stuck(angle: np.ndarray) -> np.ndarray:
         return np.where(np.arange(angle.size) < angle.size // 2, angle, angle[angle.size // 2])
 
     found = check(patrol_boat.sailings(seed, stuck), patrol_boat.BOAT)
