@@ -662,20 +662,7 @@ def test_a_real_log_of_px4(tmp_path: Path) -> None:
 def test_quaternions_and_positions_by_hand() -> None:
     """Euler angles of composed rotations, and a degree of longitude at 60 degrees north."""
     angles = np.array([[0.3, -0.4, 2.5], [-1.2, 0.9, -3.0]])
-    phi, theta, psi = angles.T / 2
-    one = np.column_stack([np.cos(psi), 0 * psi, 0 * psi, np.sin(psi)])
-    two = np.column_stack([np.cos(theta), 0 * psi, np.sin(theta), 0 * psi])
-    three = np.column_stack([np.cos(phi), np.sin(phi), 0 * psi, 0 * psi])
-
-    def times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return np.column_stack(
-            [
-                a[:, 0] * b[:, 0] - np.sum(a[:, 1:] * b[:, 1:], axis=1),
-                a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:]),
-            ]
-        )
-
-    found = np.column_stack(euler_angles(times(times(one, two), three)))
+    found = np.column_stack(euler_angles(writers.quaternion(*angles.T)))
     np.testing.assert_allclose(found, angles, atol=1e-12)
     _, east = local_position(np.array([60.0, 60.0]), np.array([10.0, 11.0]))
     assert east[1] == pytest.approx(55800.0, rel=1e-4)  # standard tables of WGS 84
