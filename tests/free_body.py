@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 GRAVITY_AXIS = np.array([0.0, 0.0, 1.0])
 
@@ -23,11 +24,7 @@ def skew(a: np.ndarray) -> np.ndarray:
 
 def rotation(phi: float, theta: float, psi: float) -> np.ndarray:
     """Rotation from body axes to NED: yaw, then pitch, then roll."""
-    c, s = np.cos, np.sin
-    yaw = np.array([[c(psi), -s(psi), 0], [s(psi), c(psi), 0], [0, 0, 1.0]])
-    pitch = np.array([[c(theta), 0, s(theta)], [0, 1.0, 0], [-s(theta), 0, c(theta)]])
-    roll = np.array([[1.0, 0, 0], [0, c(phi), -s(phi)], [0, s(phi), c(phi)]])
-    return yaw @ pitch @ roll
+    return Rotation.from_euler("ZYX", [psi, theta, phi]).as_matrix()
 
 
 @dataclass
