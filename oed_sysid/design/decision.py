@@ -69,6 +69,7 @@ from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import IMMATERIAL
 from oed_sysid.runtime.display import (
     TWO_SIDED_95,
     Report,
@@ -79,9 +80,6 @@ from oed_sysid.runtime.display import (
     counted,
 )
 from oed_sysid.runtime.files import write_bytes, write_text
-
-# Share of a goal's tolerance by which records may differ without a word.
-IMMATERIAL = 0.1
 
 
 @runtime_checkable

@@ -17,6 +17,7 @@ from oed_sysid.design.assurance import Assurance, assess_limits
 from oed_sysid.design.knowledge import ExpectedInformation
 from oed_sysid.design.library import ZigZags, as_piecewise
 from oed_sysid.design.vehicles import (
+    USABLE,
     Caution,
     LimitBounds,
     Robust,
@@ -28,9 +29,6 @@ from oed_sysid.errors import DesignError, located, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import trajectory_of
 from oed_sysid.physics.model import Model
-
-# Share of the failures that proportion allows in the next round: it is to be the last.
-_STRICTER = 0.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,7 +302,7 @@ class Task:
         more = caution.vehicles(self.model, self.expected.prior, rng)
         grown = self.n_waived * (1 + len(more) / len(self.scenarios))
         share = (1 - caution.probability) / max(1 - found.probability, 1e-3)
-        allowed = int(_STRICTER * share * grown)
+        allowed = int(USABLE * share * grown)
         # Without progress by counting, none may fail any more.
         n_waived = allowed if allowed < grown else 0
         return replace(self, scenarios=(*self.scenarios, *more), n_waived=n_waived)._with_waves(rng)

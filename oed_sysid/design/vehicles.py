@@ -392,7 +392,7 @@ def _deviations(model: Model, prior: Information | None) -> np.ndarray:
 
 
 # Share of the allowed failures that the search may use; the rest is for vehicles it never saw.
-_USABLE = 0.5
+USABLE = 0.5
 
 
 @dataclass(frozen=True)
@@ -441,7 +441,7 @@ class Caution:
     @property
     def n_waived(self) -> int:
         """Vehicles that may fail in the search."""
-        return int(_USABLE * (1 - self.probability) * self.n_sets)
+        return int(USABLE * (1 - self.probability) * self.n_sets)
 
     def vehicles(
         self, model: Model, prior: Information | None, rng: np.random.Generator

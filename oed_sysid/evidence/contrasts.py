@@ -56,7 +56,9 @@ from oed_sysid.evidence.chance import FALSE_CLAIMS
 from oed_sysid.evidence.corrections import ADDED, lagged, level_axis, logged, pivot, undo
 from oed_sysid.evidence.relations import READINGS, Relation, names_of
 from oed_sysid.evidence.result import Correction
-from oed_sysid.evidence.traces import LEAST, MATERIAL, RELATIVE, Trace, fast_noise, units_of
+from oed_sysid.evidence.traces import LEAST, RELATIVE, Trace, fast_noise, units_of
+from oed_sysid.likelihood.projection import ABSORBED
+from oed_sysid.runtime.constants import MATERIAL
 
 # Resolution: block means of a piece; and places a record at which a step or a burst is tried before
 # its place is refined.
@@ -84,8 +86,6 @@ WIDER = 1.15
 # Twice the logarithm of the odds, 7 to 1, by which some faults (a scale of positions, an actuator
 # that fails) are rarer than their rivals; halved and doubled it is 3 and 55 to 1.
 RARER = 4.0
-# What a linearisation leaves of a fault, as a share of its statistic.
-CURVED = 1e-3
 
 
 @dataclass(frozen=True)
@@ -903,7 +903,7 @@ class System:
     def price(self, chosen: Sequence[int]) -> np.ndarray:
         """What each has to gain beside a set that gains so much."""
         a = list(chosen)
-        return np.maximum(self.limits, CURVED * float(self.sizes(a)[0] @ self.right[a]))
+        return np.maximum(self.limits, ABSORBED * float(self.sizes(a)[0] @ self.right[a]))
 
     def chosen(self, start: Sequence[int]) -> list[int]:
         """Forward selection with exchange and drop."""

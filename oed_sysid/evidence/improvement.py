@@ -21,15 +21,13 @@ from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
 from oed_sysid.likelihood.noise_levels import signal_spread
 from oed_sysid.physics import Effect
+from oed_sysid.physics.base import SPAN
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.words import in_words
 from oed_sysid.runtime import display
 from oed_sysid.text.units import shown_unit
-
-# Half a 95 % interval, in typical sizes, from which the records do not tell a size.
-UNTOLD = 100.0
 
 # Root mean square errors of every output, ``(n_outputs,)``, on ``train`` and ``test`` records.
 Errors = Mapping[str, np.ndarray]
@@ -662,7 +660,7 @@ def _manoeuvre(group: Sequence[str], known: Mapping[str, Any], commanded: bool) 
 
 def _is_told(row: Mapping[str, Any], parameter: Parameter) -> bool:
     """Whether the records give a size: its interval leaves out what was possible, or nothing."""
-    widest = min(parameter.upper - parameter.lower, UNTOLD * parameter.magnitude)
+    widest = min(parameter.upper - parameter.lower, 2.0 * SPAN * parameter.magnitude)
     return bool(display.TWO_SIDED_95 * row["std_error"] < max(widest, abs(row["value"])))
 
 

@@ -70,7 +70,7 @@ import numpy as np
 from scipy.special import bdtrc, ndtri, pdtrc, pdtri
 
 from oed_sysid.evidence.chance import FALSE_CLAIMS
-from oed_sysid.evidence.traces import LEAST, MATERIAL, RELATIVE, Trace, fast_noise
+from oed_sysid.evidence.traces import LEAST, RELATIVE, Trace, fast_noise
 from oed_sysid.likelihood.noise_levels import (
     SPIKE,
     Runs,
@@ -79,6 +79,7 @@ from oed_sysid.likelihood.noise_levels import (
     robust_deviation,
     surely_beyond,
 )
+from oed_sysid.runtime.constants import MATERIAL
 
 # Robust deviations from which on tails are counted.
 TAIL = 3.5

@@ -23,8 +23,6 @@ from oed_sysid.likelihood.noise_levels import fast_level
 
 # What is below this share of a signal is immaterial.
 RELATIVE = 0.01
-# A share that matters: of the noise of a signal, or of the time between its samples.
-MATERIAL = 0.3
 # Fewer samples have no usual behaviour to differ from.
 LEAST = 20
 # Change of an input from sample to sample that is a step, as a share of its range, and the largest

@@ -13,13 +13,13 @@ from scipy.special import ndtri
 
 from oed_sysid.errors import DataError
 from oed_sysid.experiments.base import FloatArray, Numbers
+from oed_sysid.runtime.constants import BEYOND
 from oed_sysid.runtime.display import Report, as_dict, as_text
 
 _SIDE_SHARE = 0.2  # of the largest rudder angle: below, the rudder is on neither side
 _PLATEAU_SHARE = 0.05  # of a leg's angle: within, the rudder still holds it
-# So many standard deviations of noise (normal noise passes them once in 16,000 samples) are held
-# too; samples that tell a level or a slope.
-_HELD_NOISE, _FEWEST_HELD = 4.0, 3
+# Samples that tell a level or a slope.
+_FEWEST_HELD = 3
 _STEADY_ARC = math.pi / 2  # least heading change from which a steady turn is measured [rad]
 
 
@@ -493,7 +493,7 @@ def _leg(
     """Order of one leg, its standard error, and the samples of the ramp from the one before."""
     leg = rudder[begin:end]
     side = math.copysign(1.0, leg[0])
-    near = max(_HELD_NOISE * noise, _PLATEAU_SHARE * float(np.max(np.abs(leg))))
+    near = max(BEYOND * noise, _PLATEAU_SHARE * float(np.max(np.abs(leg))))
     held = np.abs(leg - side * np.quantile(side * leg, 0.75, method="higher")) <= near
     few = held.sum() < _FEWEST_HELD
     error = math.nan if few else 1.25 * float(np.std(leg[held])) / math.sqrt(held.sum())

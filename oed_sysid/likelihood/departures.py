@@ -40,6 +40,7 @@ from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate
 from oed_sysid.likelihood.information import COLOUR_LIMIT
 from oed_sysid.likelihood.projection import project_out, score_beside
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import MATERIAL
 
 Departed = TypeVar("Departed", Departure, ActuatorStart)
 # Standard errors from which a departure counts: one output in 10^5 by chance; and those from which
@@ -52,8 +53,6 @@ SHAPES: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "off": lambda outputs, _: np.ones_like(outputs),
     "scale": lambda outputs, _: outputs,
 }
-# Share of the misfit beyond noise that a departure must explain where residuals are coloured.
-WORTH_A_WORD = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +198,7 @@ def _clear(fit: Estimate, found: Sequence[Departed]) -> list[Departed]:
     """Departures that are significant, and, where residuals are coloured, worth a word."""
     clear = [one for one in found if abs(one.size) > CLEAR * one.std]
     if clear and any(some < COLOUR_LIMIT * n for some, n in fit.effective_samples().values()):
-        return [one for one in clear if one.share > WORTH_A_WORD]
+        return [one for one in clear if one.share > MATERIAL]
     return clear
 
 
@@ -301,8 +300,6 @@ def _sensitivities(fit: Estimate, index: int) -> tuple[Run, np.ndarray, np.ndarr
 # Factor within which a start value has to be what the other unit would give, noise of an input what
 # its log shows, an error that of another fit, and a disturbance on other records the same.
 TWOFOLD = 2.0
-# Change of the outputs, in noise levels, below which two runs are the same.
-SAME = 0.1
 
 
 def change_of_outputs(fit: Estimate, after: Callable[[int], np.ndarray | None]) -> float:

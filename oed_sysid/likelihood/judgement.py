@@ -69,7 +69,6 @@ from oed_sysid.likelihood.covariance import Peak, clear_peaks
 from oed_sysid.likelihood.departures import (
     CLEAR,
     CLEARLY,
-    SAME,
     change_of_outputs,
     clear_departure,
     clear_starts,
@@ -92,11 +91,14 @@ from oed_sysid.likelihood.noise_levels import (
     white_levels,
 )
 from oed_sysid.physics.unknown import random_effects
+from oed_sysid.runtime.constants import IMMATERIAL
 from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
 from oed_sysid.text.units import shown_unit
 
 # A fit goes through the verdict as what it is.
 Judged = TypeVar("Judged", bound=Estimate)
+# Wrong noise levels from which intervals are worth a word (they are wrong by the same factor).
+LEVEL_FACTOR = 1.15
 # Change by a quarter of the step, in noise levels, that a trajectory must not show.
 STEP_CHANGE = 0.5
 # Parts of a step in the check: an error of fourth order falls by 256.
@@ -300,7 +302,7 @@ def _levels(fit: Estimate) -> Iterator[Found]:
         factor, error, tests = told
         # A filter that was told less white noise than there is finds the rest elsewhere.
         factor *= float(fit.sigma[column] / declared[column])
-        if abs(np.log(factor)) < max(CLEAR * error, np.log(WORTH_TELLING)):
+        if abs(np.log(factor)) < max(CLEAR * error, np.log(LEVEL_FACTOR)):
             continue
         wrong = "small" if factor > 1.0 else "large"
         so = f"Standard errors are too {wrong} for it: set noise_std, or noise='estimate'."
@@ -534,7 +536,7 @@ def _inputs(fit: Estimate) -> Iterator[Found]:
             continue
         column = names.index(name)
         size = change_of_outputs(fit, partial(_with_input_noise, fit, column, level, rng))
-        if SAME < size < np.inf:
+        if IMMATERIAL < size < np.inf:
             beside = any(not one.startswith("actuator ") for one in fit.noise.places)
             yield Found(size, name, facts={
                 "level": level, "unit": fit.model.inputs[column].unit,
@@ -912,7 +914,7 @@ CHECKS = (
         "unknown_start(effect, std) of oed_sysid.physics, or begin records later.",
     ),
     Check(
-        "noise_level", _levels, f"{CLEAR:g} standard errors and a factor of {WORTH_TELLING:g}",
+        "noise_level", _levels, f"{CLEAR:g} standard errors and a factor of {LEVEL_FACTOR:g}",
         "Noise of {signal}: declared {declared:.3g} {unit}, found {found:.3g} ({size:.2f} times, "
         "95 % {low:.2f} to {high:.2f}). {so}",
     ),
@@ -924,7 +926,7 @@ CHECKS = (
         "declare noise_std, check signs and units, or look for what is missing.",
     ),
     Check(
-        "input_noise", _inputs, f"a chance of {100 * RARE:g} %, and {SAME:g} noise levels",
+        "input_noise", _inputs, f"a chance of {100 * RARE:g} %, and {IMMATERIAL:g} noise levels",
         "White noise of {level:.3g} {unit} on the log of input {signal} explains what disturbs the "
         "vehicle {how}; fed to the model it moves the outputs by {size:.2g} noise levels. The "
         "vehicle answers to the true input. The fit holds that noise; where the command is logged, "

@@ -28,7 +28,7 @@ from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import ROUNDING
+from oed_sysid.runtime.constants import BEYOND, ROUNDING
 
 # Lowest order of the differences in which white noise is looked for, and the share of one order's
 # level below which the next one's means that motion was seen, not noise.
@@ -250,9 +250,6 @@ def residual_levels(residuals: Sequence[np.ndarray], n_unknowns: int = 0) -> np.
     return np.sqrt(np.nansum(stacked**2, axis=0) / np.maximum(share, 1e-9))
 
 
-# Widths beyond which runs, or a correlation of neighbours, are no chance: one in some ten thousand
-# were they normal.
-BEYOND = 4.0
 # Chance that noise as declared is taken for spikes in a data set, for a scatter of tests, or a
 # disturbance for a law.
 RARE = 1e-3

@@ -31,6 +31,7 @@ from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts, StartState
 from oed_sysid.likelihood.whole_runs import CHUNK, WholeRun
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import MATERIAL
 
 # Mean over a run of drawn over first-order variances, of the same draws, from which (or below whose
 # inverse) first order misleads.
@@ -144,9 +145,8 @@ WAYS = {
 }
 
 Initial = str | StartState
-# Relative standard error of a parameter from which bands are drawn, and share of the band that it
-# must matter.
-DRAWN, MATTERS = 0.15, 0.3
+# Relative standard error of a parameter from which bands are drawn, where it matters for them.
+DRAWN = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -341,7 +341,7 @@ def _variance(
         drawn = given.mean_square(disturbed, run.outputs)
         drawn += noise.colour**2 if answer is None else of_start
         return np.where(np.isfinite(variance), drawn, variance)
-    if np.any(variance > (MATTERS * noise.sensors) ** 2):
+    if np.any(variance > (MATERIAL * noise.sensors) ** 2):
         # The same draws, to first order and simulated, over the whole run: what differs is no
         # chance, and no moment at which nothing moves to first order.
         first, few = (

@@ -18,8 +18,8 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 
 from oed_sysid.runtime.constants import RANK_TOLERANCE
 
-# What is left of a signature after projection, as a share of it, below which what is estimated does
-# the same.
+# What is left of a signature after projection, as a share of it, or of a statistic after its
+# linearised cause, below which what is estimated does the same.
 ABSORBED = 1e-3
 # Below this share of the largest eigenvalue, a direction of an information is rounding error.
 NOTHING = RANK_TOLERANCE**2

@@ -56,10 +56,11 @@ from oed_sysid.likelihood.gauss_newton import (
     whitened,
 )
 from oed_sysid.likelihood.information import autocorrelation
-from oed_sysid.likelihood.noise_levels import BEYOND, credible_levels
+from oed_sysid.likelihood.noise_levels import credible_levels
 from oed_sysid.likelihood.noise_model import SHAPES, STEPS_OF_PERIOD, NoiseModel, Sea
 from oed_sysid.likelihood.score_test import TIMES, Scored, ScoreTest, Setting, Start, moved, posed
 from oed_sysid.likelihood.shooting import Point
+from oed_sysid.runtime.constants import BEYOND
 
 # Gain in twice the log-likelihood from which another kind of noise is worth its freedom, twice that
 # of a sea, whose choice among periods and shapes may be worth two or three nats. Below, two starts

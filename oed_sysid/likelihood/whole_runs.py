@@ -50,7 +50,6 @@ from oed_sysid.likelihood.estimate import Estimate, by_name
 from oed_sysid.likelihood.gauss_newton import solve
 from oed_sysid.likelihood.laws import Law
 from oed_sysid.likelihood.noise_levels import (
-    BEYOND,
     DIFFERENCE_ERROR,
     given_levels,
     root_mean_square,
@@ -62,7 +61,7 @@ from oed_sysid.likelihood.projection import inverse_of, root_of
 from oed_sysid.likelihood.realisation import drawn_disturbances, gauss_markov
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import RANK_TOLERANCE
+from oed_sysid.runtime.constants import BEYOND, RANK_TOLERANCE
 from oed_sysid.runtime.display import as_dict
 from oed_sysid.text.units import shown_unit
 

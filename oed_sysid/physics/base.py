@@ -19,7 +19,7 @@ from oed_sysid.text import callables, expressions
 from oed_sysid.text.callables import Function, Table, argument_names
 
 # Bounds of an amplitude in typical ones: wide enough to never decide, tight enough to converge.
-_SPAN = 20.0
+SPAN = 20.0
 STAGES = ("actuator", "environment", "force", "inertia", "sensor")
 # Which effects may go on in time: within the motion, or from sample to sample.
 _GOING_ON = (
@@ -339,7 +339,7 @@ class Effect:
 
 def _unbounded(parameter: Parameter) -> Parameter:
     """The parameter without bounds that only follow from its typical size."""
-    by_default = parameter.upper >= _SPAN * parameter.magnitude
+    by_default = parameter.upper >= SPAN * parameter.magnitude
     if not by_default or not math.isfinite(parameter.upper):
         return parameter
     lowest = -math.inf if parameter.lower < 0.0 else parameter.lower
@@ -491,7 +491,7 @@ def amplitude(
     ('E_fin_lag', 0.0, 5.0)
     """
     size = abs(value) or 1.0 if scale is None else scale
-    limit = min(_SPAN * max(size, abs(value)), bound)
+    limit = min(SPAN * max(size, abs(value)), bound)
     return Parameter(
         name=parameter or f"E_{effect}",
         value=value,

@@ -22,6 +22,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.channels import Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.prediction.draws import asked, parameter_sets
+from oed_sysid.runtime.constants import IMMATERIAL
 from oed_sysid.runtime.display import (
     TWO_SIDED_95,
     Report,
@@ -39,8 +40,6 @@ TURNING = ("v", "r", "p", "phi")
 # Heading change that is simulated: a full turn, then half a turn to call steady.
 TURN = 3.0 * math.pi
 NEAR_AMIDSHIPS = math.radians(10.0)
-# Share by which the speed that the propulsion keeps may differ from that of the approach.
-STEADY_SPEED = 0.1
 LENGTHS = ("advance", "transfer", "tactical_diameter", "steady_diameter")
 _UNITS = {**dict.fromkeys(LENGTHS, "m"), "time_90": "s", "time_180": "s", "speed_ratio": "1"}
 QUANTITIES: Mapping[str, str] = {**_UNITS, "drift": "rad"}
@@ -349,7 +348,7 @@ def _unsteady(model: Model, steered: str, trim: float, start: Mapping[str, float
     except SimulationError:
         return []
     speed, kept = start["u"], found.states["u"]
-    if found.ok and abs(kept - speed) <= STEADY_SPEED * speed:
+    if found.ok and abs(kept - speed) <= IMMATERIAL * speed:
         return []
     runs = f"the ship keeps {kept:.3g} m/s" if found.ok else "no speed is kept"
     return [

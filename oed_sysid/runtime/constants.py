@@ -10,6 +10,11 @@ RANK_TOLERANCE = 1e-6
 # Step of a difference quotient, in typical sizes: near the cube root of the precision of numbers,
 # where truncation and rounding of a central difference are equally small.
 DIFFERENCE_STEP = 1e-5
+# Standard deviations that normal noise passes once in 16,000 samples.
+BEYOND = 4.0
+# A part matters that is this share of the whole: of noise, of a misfit, of an interval or of the
+# time between samples. And one that does not: of noise, of a tolerance, or of a speed.
+MATERIAL, IMMATERIAL = 0.3, 0.1
 # Twice the logarithm of the odds, 20 to 1, from which one explanation is told from another. Halved
 # it is 4 to 1, doubled 400 to 1.
 TOLD_APART = 6.0
