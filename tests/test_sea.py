@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -317,6 +318,42 @@ def test_a_test_of_one_more_level_is_that_of_all_equations(monkeypatch: pytest.M
         # But for the wide prior of the time of forces, whose middle is where levels begin.
         assert gain == pytest.approx(both - without, rel=5e-3, abs=0.05)
         assert (gain > 20.0) == (period == PERIOD)
+
+
+def looked_at(series: list[np.ndarray], periods: list[float], step: float) -> np.ndarray:
+    """Periods ``(n_periods,)`` at which innovations of one output may show a sea."""
+    records = [SimpleNamespace(independent=False, duration=step * (len(one) - 1)) for one in series]
+    parts = [
+        SimpleNamespace(innovations=one[:, None], variances=np.full((len(one), 1), 4.0))
+        for one in series
+    ]
+    problem = SimpleNamespace(records=records, passes=lambda *_, **__: parts)
+    found = SimpleNamespace(problem=problem, point=SimpleNamespace(unknowns=None))
+    calm = [Sea(one, bandwidth=0.3, levels={"r": 0.0}, shape="velocity") for one in periods]
+    return random_forces._in_spectrum(found, calm)
+
+
+def test_a_look_at_white_innovations_leads_on_as_seldom_as_it_says() -> None:
+    """Two records, a fifth of the second missing: 5 % of the looks at each of four periods."""
+    rng, shown = np.random.default_rng(5), []
+    for _ in range(1000):
+        series = [2.0 * rng.standard_normal(n) for n in (400, 300)]
+        series[1][rng.random(300) < 0.2] = np.nan
+        shown.append(looked_at(series, [4.0, 8.0, 16.0, 32.0], 0.5))
+    assert np.mean(shown, axis=0) == pytest.approx(0.05, abs=0.025)
+
+
+@pytest.mark.parametrize("period", [5.0, 12.0])
+def test_a_look_at_innovations_in_waves_shows_their_period(period: float) -> None:
+    """A band of a third of the power of the white noise, of which half of the samples are left."""
+    rng, times = np.random.default_rng(6), 0.5 * np.arange(600)
+    for _ in range(20):
+        phase = 2 * np.pi * np.outer(times, rng.uniform(0.93, 1.07, 30)) / period
+        swell = np.cos(phase + rng.uniform(0, 2 * np.pi, 30)).sum(axis=1) / np.sqrt(15.0)
+        series = 2.0 * (rng.standard_normal(600) + swell / np.sqrt(3.0))
+        series[rng.random(600) < 0.5] = np.nan
+        shown = looked_at([series], [period, 0.2 * period, 4.0 * period], 0.5)
+        assert shown[0]
 
 
 def test_threshold_is_the_tail_of_signed_normals() -> None:
