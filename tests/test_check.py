@@ -31,7 +31,7 @@ from motion import UNITS, outputs, states
 from scipy.fft import dct
 from scipy.signal import lfilter
 from simple_models import nomoto
-from yaw_vehicle import yaw_data, yaw_model
+from yaw_vehicle import TRUE, yaw_data, yaw_model
 
 from benchmarks.spoilt_logs import COPIES as SPOILS
 from benchmarks.spoilt_logs import named_as, spoil
@@ -613,6 +613,31 @@ def test_an_input_is_named_where_the_values_differ_from_the_nominal_ones(kind, c
         assert found.serious[0].size == pytest.approx(0.5, abs=0.1)
     states = {one.fault: one.state for one in found.judged if one.signal == "fin_command"}
     assert states["sign"] == ("found" if kind == "sign" else "tested")
+
+
+def believed_yaw() -> Model:
+    """The yaw model whose priors are the truth."""
+    units = (("K", "1/s"), ("T", "s"), ("alpha", "s^2"))
+    return yaw_model(**{
+        name: Parameter(name, TRUE[name], unit, prior_mean=TRUE[name], prior_std=0.2 * TRUE[name])
+        for name, unit in units
+    })  # fmt: skip
+
+
+def test_an_input_that_never_repeats_a_value_is_judged() -> None:
+    """A measured rudder angle stands still nowhere; what is asked of inputs is asked of it."""
+    rng = np.random.default_rng(0)
+    data = Dataset(
+        tuple(
+            replace(r, inputs=r.inputs + 1e-4 * rng.standard_normal(r.inputs.shape))
+            for r in yaw_data()
+        )
+    )
+    found = check(data, believed_yaw())
+    assert found.findings == ()
+    states = {one.fault: one.state for one in found.judged if one.signal == "delta"}
+    assert set(states) == {*inputs.ASKED}
+    assert set(states.values()) == {"tested"}
 
 
 def test_records_that_are_broken_in_one_equation_tell_nothing_of_inputs() -> None:

@@ -457,8 +457,11 @@ def contrasts(
 
     ``factors`` are the scales that were undone, by signal: a contrast is taken in the unit that
     its left side was logged in, or shrinking a signal would shrink its noise. ``places`` are
-    candidates that may begin anywhere, each at all of :data:`PLACED`.
+    candidates that may begin anywhere, each at all of :data:`PLACED`. Of fewer than
+    :data:`~oed_sysid.evidence.traces.LEAST` samples there are none.
     """
+    if trace.times.size < LEAST:
+        return
     factors = factors or {}
     motion = Motion(trace, relations)
     every = {k: SHAPES[f.kind](f, motion) for k, f in enumerate(faults) if motion.has(f)}
