@@ -486,7 +486,8 @@ def inputs_for_forces(found: FilteredSolution, setting: Setting) -> Filtered | N
         return None
     shown = [most[place] / TWOFOLD for place in inputs]
     alone = noise.only(np.isin(noise.places, setting.known)).with_places(inputs, 0.0, shown)
-    return posed(found, setting, alone)
+    problem = posed(found, setting, alone)
+    return problem if len(problem.levels) < len(found.problem.levels) else None
 
 
 def own_times(found: FilteredSolution, setting: Setting) -> Filtered | None:
@@ -506,14 +507,15 @@ def beside_a_sea(found: FilteredSolution, setting: Setting) -> Filtered | None:
     return _joined(found, setting, rest, [count * sample for count in TIMES], [Sea()])
 
 
-# Parts in the order in which they are asked for, and their prices: nothing is paid for noise of
-# inputs that takes the place of that of more equations, and what has vanished always goes.
+# Parts in the order in which they are asked for, and their prices: noise of inputs that takes the
+# place of forces may be less likely by what Akaike (1974) weighs the unknown that it has fewer, and
+# what has vanished always goes.
 PARTS: Mapping[Proposal, float] = {
     autocorrelated_sensors: WORTH,
     sensors_for_forces: WORTH,
     without_vanished: -np.inf,
     noisy_inputs: WORTH,
-    inputs_for_forces: 0.0,
+    inputs_for_forces: -2.0,
     own_times: WORTH,
 }
 
