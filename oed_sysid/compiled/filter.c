@@ -12,10 +12,15 @@
  * one output at a time, columns X hold the derivatives of x by start states and parameters at
  * frozen gain, and every level of the noise carries the tangents (dm, dP) of mean and covariance.
  *
- * Rows of X, P and dP have a stride of whole vectors.
+ * P, X and dm of all levels stand side by side in the rows of one matrix J = [P X dm]. With c = h' J
+ * and what parameters do to the output itself, a measurement is J -= g c / S, as far as the gain is
+ * frozen, and a step is F J. Each part of a row is padded with zeros to whole vectors.
  */
 
 static inline int round4(int n) { return (n + 3) & ~3; }
+
+/* Loops over the vectors of a block: their sums stay in registers. */
+#define UNROLLED _Pragma("GCC unroll 8")
 
 /* target += factor * source, over n numbers rounded up to whole vectors, to which every array below
  * is padded. */
@@ -33,12 +38,15 @@ static inline void add_products(double *restrict gram, const double *restrict ro
         for (int b = 0; b <= a; b += 4) {
             double *to = gram + (size_t)a * wide + b;
             four_t sum[4];
+            UNROLLED
             for (int i = 0; i < 4; ++i) sum[i] = *(four_t *)(to + (size_t)i * wide);
             for (int o = 0; o < n; ++o) {
                 const double *row = rows + (size_t)o * wide;
                 const four_t right = *(const four_t *)(row + b);
+                UNROLLED
                 for (int i = 0; i < 4; ++i) sum[i] += row[a + i] * right;
             }
+            UNROLLED
             for (int i = 0; i < 4; ++i) *(four_t *)(to + (size_t)i * wide) = sum[i];
         }
 }
@@ -57,15 +65,6 @@ typedef struct {
     double value[NZ + PROCESSES * NF + NY + 1];
 } sparse_t;
 
-/* target <- matrix h for a symmetric matrix. */
-static inline void times_sparse(double *restrict target, const double *matrix, const sparse_t *h,
-                                int stride)
-{
-    for (int j = 0; j < stride; ++j) target[j] = 0.0;
-    for (int r = 0; r < h->n; ++r)
-        axpy(target, h->value[r], matrix + (size_t)h->index[r] * stride, stride);
-}
-
 static inline double dot_sparse(const sparse_t *h, const double *vector)
 {
     double sum = 0.0;
@@ -80,192 +79,86 @@ static inline void keep_entry(sparse_t *h, int index, double value)
     h->value[h->n++] = value;
 }
 
-/* The transition F = [A G; 0 phi] of a step: its entries that are not zero, by rows; columns have
- * rows more, of what is certain and only passes derivatives on. */
+/* The transition F = [A G; 0 phi] of a step: its entries that are not zero, by rows. The first
+ * `size` rows and columns are of the covariance; behind them stands what is certain and only passes
+ * derivatives on. */
 typedef struct {
-    int size, rows;   /* of the covariance, and of all with those more */
-    const int *first; /* rows + 1 places in index and value */
-    const int *index;
-    const double *value;
+    int size, rows;
+    int first[NZ + RANDOM + 1]; /* rows + 1 places in index and value */
+    int index[NZ * (NZ + PROCESSES * NF) + STATES * RANDOM + 1];
+    double *value;
 } transition_t;
 
-/* target <- F source, rows of a width known when compiled. */
-static inline __attribute__((always_inline)) void moved(double *restrict target,
-                                                        const transition_t *f,
-                                                        const double *restrict source,
-                                                        const int width)
-{
-    for (int i = 0; i < f->rows; ++i) {
-        four_t sum[width / 4];
-        for (int j = 0; j < width / 4; ++j) sum[j] = (four_t){0.0, 0.0, 0.0, 0.0};
-        for (int r = f->first[i]; r < f->first[i + 1]; ++r) {
-            const double value = f->value[r];
-            const double *row = source + (size_t)f->index[r] * width;
-            for (int j = 0; j < width / 4; ++j) sum[j] += value * *(const four_t *)(row + 4 * j);
-        }
-        for (int j = 0; j < width / 4; ++j) *(four_t *)(target + (size_t)i * width + 4 * j) = sum[j];
-    }
-}
-
-/* matrix <- F matrix F' for a symmetric matrix; product and turned are scratch. */
-static inline __attribute__((always_inline)) void sandwiched(double *restrict matrix,
-                                                             const transition_t *f,
-                                                             double *restrict product,
-                                                             double *restrict turned,
-                                                             const int stride)
-{
-    moved(product, f, matrix, stride);
-    for (int i = 0; i < f->size; ++i)
-        for (int j = 0; j < f->size; ++j)
-            turned[(size_t)j * stride + i] = product[(size_t)i * stride + j];
-    moved(matrix, f, turned, stride);
-}
-
-/* One scalar measurement as the tangents see it. */
-typedef struct {
-    sparse_t h;
-    double e, inverse; /* innovation, one over its variance */
-    int output, missing; /* one that is missing moves nothing */
-    int corrects;        /* whether g is not zero */
-    double *g;           /* P h */
-    double *row, *rowq;  /* de and q of the levels */
-} scalar_t;
-
-/* Tangents of all levels stand side by side, a level a lane: entry (i, j) of a covariance at
- * PAIR(i, j), its lower triangle only. What is done to one is done to all, a vector at a time. */
-#define PAIR(i, j) ((i) >= (j) ? (i) * ((i) + 1) / 2 + (j) : (j) * ((j) + 1) / 2 + (i))
-
-static inline __attribute__((always_inline)) void add_lanes(double *restrict target, double factor,
-                                                            const double *restrict source,
-                                                            const int lanes)
-{
-    for (int j = 0; j < lanes; j += 4) *(four_t *)(target + j) += factor * *(const four_t *)(source + j);
-}
-
-/* Tangents d of the covariance and mu of the mean through the n scalar measurements of a sample;
- * white has a one where a lane's level is that of an output's white noise; v is scratch. */
-static inline __attribute__((always_inline)) void levels_measured(double *restrict d,
-                                                                  double *restrict mu,
-                                                                  const double *restrict white,
-                                                                  scalar_t *scalars, int n, int nl,
-                                                                  int size, double *restrict v,
-                                                                  const int lanes)
-{
-    for (int i = 0; i < n; ++i) {
-        const scalar_t *one = scalars + i;
-        const double *g = one->g, inverse = one->inverse, by_v = one->e * inverse;
-        double *restrict q = one->rowq;
-        double by_g[lanes], de[lanes];
-        memset(v, 0, sizeof(double) * (size_t)size * lanes);
-        memset(de, 0, sizeof(double) * lanes);
-        memcpy(q, white + (size_t)one->output * lanes, sizeof(double) * lanes);
-        for (int r = 0; r < one->h.n; ++r) {
-            const int at = one->h.index[r];
-            for (int j = 0; j < size; ++j)
-                add_lanes(v + (size_t)j * lanes, one->h.value[r], d + (size_t)PAIR(at, j) * lanes, lanes);
-            add_lanes(de, -one->h.value[r], mu + (size_t)at * lanes, lanes);
-        }
-        for (int r = 0; r < one->h.n; ++r)
-            add_lanes(q, one->h.value[r], v + (size_t)one->h.index[r] * lanes, lanes);
-        for (int j = 0; j < lanes; j += 4) {
-            *(four_t *)(q + j) *= inverse;
-            *(four_t *)(by_g + j) = (*(four_t *)(de + j) - *(four_t *)(q + j) * one->e) * inverse;
-        }
-        memcpy(one->row, de, sizeof(double) * nl);
-        if (one->missing) continue;
-        if (!one->corrects) { /* without a covariance only means move */
-            for (int j = 0; j < size * lanes; j += 4)
-                *(four_t *)(mu + j) += by_v * *(const four_t *)(v + j);
-            continue;
-        }
-        for (int r = 0; r < size; ++r) {
-            const double b = g[r] * inverse;
-            double *restrict line = d + (size_t)PAIR(r, 0) * lanes, *restrict mean = mu + (size_t)r * lanes;
-            four_t a[lanes / 4];
-            for (int j = 0; j < lanes / 4; ++j) {
-                const four_t own = *(const four_t *)(v + (size_t)r * lanes + 4 * j);
-                a[j] = own * inverse - b * *(const four_t *)(q + 4 * j);
-                *(four_t *)(mean + 4 * j) += by_v * own + g[r] * *(const four_t *)(by_g + 4 * j);
-            }
-            for (int c = 0; c <= r; ++c)
-                for (int j = 0; j < lanes / 4; ++j)
-                    *(four_t *)(line + (size_t)c * lanes + 4 * j) -=
-                        g[c] * a[j] + b * *(const four_t *)(v + (size_t)c * lanes + 4 * j);
-        }
-    }
-}
-
-/* target <- row i of F times source: its lines, or with a column given those of PAIR with it. */
-static inline __attribute__((always_inline)) void lanes_moved(double *restrict target,
+/* Some vectors of row i of F source. */
+static inline __attribute__((always_inline)) void moved_block(double *restrict target,
                                                               const transition_t *f, int i,
                                                               const double *restrict source,
-                                                              const int column, const int lanes)
+                                                              int stride, const int n)
 {
-    four_t sum[lanes / 4];
-    for (int j = 0; j < lanes / 4; ++j) sum[j] = (four_t){0.0, 0.0, 0.0, 0.0};
+    four_t sum[8] = {{0.0}};
     for (int r = f->first[i]; r < f->first[i + 1]; ++r) {
-        const int at = f->index[r];
-        const double *from = source + (size_t)(column < 0 ? at : PAIR(at, column)) * lanes;
-        for (int j = 0; j < lanes / 4; ++j) sum[j] += f->value[r] * *(const four_t *)(from + 4 * j);
+        const double value = f->value[r], *from = source + (size_t)f->index[r] * stride;
+        UNROLLED
+        for (int j = 0; j < n; ++j) sum[j] += value * *(const four_t *)(from + 4 * j);
     }
-    for (int j = 0; j < lanes / 4; ++j) *(four_t *)(target + 4 * j) = sum[j];
+    UNROLLED
+    for (int j = 0; j < n; ++j) *(four_t *)(target + 4 * j) = sum[j];
 }
 
-/* target <- F d F' for the tangents of all levels; line is scratch. */
-static inline __attribute__((always_inline)) void levels_moved(double *restrict target,
-                                                               const transition_t *f,
-                                                               const double *restrict d,
-                                                               double *restrict line,
-                                                               const int lanes)
+/* target <- F source, its first n rows; both have a stride of width. */
+static ONCE void moved(double *target, const transition_t *f, int n, const double *source, int width)
 {
-    for (int i = 0; i < f->size; ++i) {
-        for (int s = 0; s < f->size; ++s) lanes_moved(line + (size_t)s * lanes, f, i, d, s, lanes);
-        for (int o = 0; o <= i; ++o)
-            lanes_moved(target + (size_t)PAIR(i, o) * lanes, f, o, line, -1, lanes);
+    for (int i = 0; i < n; ++i) {
+        double *to = target + (size_t)i * width;
+        int j = 0;
+        for (; j + 32 <= width; j += 32) moved_block(to + j, f, i, source + j, width, 8);
+        for (; j + 16 <= width; j += 16) moved_block(to + j, f, i, source + j, width, 4);
+        for (; j + 8 <= width; j += 8) moved_block(to + j, f, i, source + j, width, 2);
+        if (j < width) moved_block(to + j, f, i, source + j, width, 1);
     }
 }
 
-/* The same with a width that the compiler knows, where it is a common one. */
-#define WIDTHS(width, CALL) \
-    switch (width) { \
-    case 4: CALL(4); break; \
-    case 8: CALL(8); break; \
-    case 12: CALL(12); break; \
-    case 16: CALL(16); break; \
-    case 20: CALL(20); break; \
-    case 24: CALL(24); break; \
-    default: CALL(width); \
+/* Tangents of all levels stand side by side, a level a lane: of entry (i, j) of a covariance at
+ * PAIR(i, j), from its lower triangle. What is done to one is done to all, a vector at a time. */
+#define PAIR(i, j, size) ((i) >= (j) ? (i) * (size) + (j) : (j) * (size) + (i))
+
+/* target <- (source)', of all levels; in place the upper triangle from the lower one. */
+static ONCE void turn_lanes(double *target, const double *source, int size, int lanes)
+{
+    for (int i = 0; i < size; ++i) {
+        const double *from = source + (size_t)i * size * lanes;
+        const int n = target == source ? i : size;
+        for (int j = 0; j < n; ++j, from += lanes) {
+            double *to = target + (size_t)(j * size + i) * lanes;
+            for (int l = 0; l < lanes; l += 4) *(four_t *)(to + l) = *(const four_t *)(from + l);
+        }
     }
-
-static ONCE void move_rows(double *target, const transition_t *f, const double *source, int width)
-{
-#define CALL(w) moved(target, f, source, w)
-    WIDTHS(width, CALL)
-#undef CALL
 }
 
-static ONCE void sandwich(double *matrix, const transition_t *f, double *product, double *turned,
-                          int stride)
+/* Tangents dP of the covariance through a scalar measurement, and what the change of the gain adds
+ * to those dm of the mean; q has that of S for a change of the white noise alone, and then d log S. */
+static ONCE void measure_levels(double *restrict dP, double *restrict dm, int stride,
+                                double *restrict q, const sparse_t *h, const double *restrict g,
+                                double e, double inverse, int moves, int corrects, int size, int lanes)
 {
-#define CALL(w) sandwiched(matrix, f, product, turned, w)
-    WIDTHS(stride, CALL)
-#undef CALL
-}
-
-static ONCE void measure_levels(double *d, double *mu, const double *white, scalar_t *scalars, int n,
-                                int nl, int size, double *v, int lanes)
-{
-#define CALL(w) levels_measured(d, mu, white, scalars, n, nl, size, v, w)
-    WIDTHS(lanes, CALL)
-#undef CALL
-}
-
-static ONCE void move_levels(double *target, const transition_t *f, const double *d, double *line,
-                             int lanes)
-{
-#define CALL(w) levels_moved(target, f, d, line, w)
-    WIDTHS(lanes, CALL)
-#undef CALL
+    four_t v[MAX1(NZ) + RANDOM];
+    for (int l = 0; l < lanes; l += 4) {
+        four_t own = *(four_t *)(q + l);
+        for (int j = 0; j < size; ++j) v[j] = (four_t){0.0, 0.0, 0.0, 0.0};
+        for (int r = 0; r < h->n; ++r)
+            for (int j = 0; j < size; ++j)
+                v[j] += h->value[r] * *(four_t *)(dP + (size_t)PAIR(h->index[r], j, size) * lanes + l);
+        for (int r = 0; r < h->n; ++r) own += h->value[r] * v[h->index[r]];
+        *(four_t *)(q + l) = own *= inverse;
+        for (int r = 0; r < (moves ? size : 0); ++r) {
+            const four_t a = (v[r] - g[r] * own) * inverse;
+            const double b = g[r] * inverse;
+            const int n = corrects ? r + 1 : 0; /* without a covariance only means move */
+            double *entry = dP + (size_t)r * size * lanes + l;
+            *(four_t *)(dm + (size_t)r * stride + l) += e * a;
+            for (int c = 0; c < n; ++c, entry += lanes) *(four_t *)entry -= g[c] * a + b * v[c];
+        }
+    }
 }
 
 /* Steps over which disturbances are held, from one sample to the next. */
@@ -305,33 +198,40 @@ static inline void let_act(double *p, int nq, const int *q_index, const double *
 }
 
 /* target, the transition since a sample, after one more step; dense rows of size numbers. */
-static ONCE void keep_move(double *target, const transition_t *f, int step, double *product,
-                           double *turned)
+static ONCE void keep_move(double *target, const transition_t *f, int step, double *before,
+                           double *after)
 {
     const int size = f->size, stride = round4(size);
-    memset(product, 0, sizeof(double) * (size_t)size * stride);
     for (int i = 0; i < size; ++i)
         for (int j = 0; j < size; ++j)
-            product[(size_t)i * stride + j] = step ? target[(size_t)i * size + j] : i == j;
-    move_rows(turned, f, product, stride);
+            before[(size_t)i * stride + j] = step ? target[(size_t)i * size + j] : i == j;
+    moved(after, f, size, before, stride);
     for (int i = 0; i < size; ++i)
-        memcpy(target + (size_t)i * size, turned + (size_t)i * stride, sizeof(double) * size);
+        memcpy(target + (size_t)i * size, after + (size_t)i * stride, sizeof(double) * size);
 }
 
-/* The rows of phi (nr x nr) behind `count` entries of the na rows above; how many there are then. */
-static inline int keep_memory(int *first, int *index, double *value, int count, const double *phi,
-                              int na, int nr)
+/* F from rows of sensitivities, in which `place` has each of its columns but those of the random
+ * components' own transition phi (nr x nr). */
+static ONCE void keep_transition(transition_t *f, const row_t *s, const int *uncertain,
+                                 const int *place, const double *phi, int na, int nq, int nr)
 {
-    for (int i = 0; i < nr; ++i) {
-        first[na + i] = count;
-        for (int j = 0; j < nr; ++j) {
-            if (phi[(size_t)i * nr + j] == 0.0) continue;
-            index[count] = na + j;
-            value[count++] = phi[(size_t)i * nr + j];
+    const int m = na + nq, columns = m + f->rows - f->size;
+    int count = 0;
+    for (int i = 0; i < f->rows; ++i) {
+        f->first[i] = count;
+        if (i >= na && i < f->size) {
+            const double *row = phi + (size_t)(i - na) * nr;
+            for (int l = 0; l < nr; ++l)
+                if (row[l] != 0.0) f->index[count] = na + l, f->value[count++] = row[l];
+            continue;
+        }
+        const double *row = s[uncertain[i < na ? i : i - nr]];
+        for (int l = 0; l < columns; ++l) {
+            const double value = row[place[l]];
+            if (value != 0.0) f->index[count] = l < m ? l : f->size + l - m, f->value[count++] = value;
         }
     }
-    first[na + nr] = count;
-    return count;
+    f->first[f->rows] = count;
 }
 
 /* The states of one process among the nr random components. */
@@ -357,45 +257,34 @@ static inline double shared(const double *a, const double *b, const states_t *of
 
 /* Lane l of dP += I - phi phi', the fresh noise of a process of unit variance. */
 static inline void add_fresh_lane(double *dP, int l, int lanes, const double *phi, int na, int nr,
-                                  const states_t *of)
+                                  int size, const states_t *of)
 {
     for (int r = 0; r < of->n; ++r)
         for (int c = 0; c <= r; ++c) {
             const int i = of->at[r], j = of->at[c];
             const double left = shared(phi + (size_t)i * nr, phi + (size_t)j * nr, of);
-            dP[(size_t)PAIR(na + i, na + j) * lanes + l] += (i == j) - left;
+            dP[(size_t)PAIR(na + i, na + j, size) * lanes + l] += (i == j) - left;
         }
 }
 
 /* Lane l of the tangents, for a change of phi in the rows of one process:
- * dm += dF m and dP += dF P F' + F P dF' - variance (dphi phi' + phi dphi'), the covariance still
- * being the one before the step; columns is scratch of STATES strides. */
-static void add_changed_memory(double *dP, double *dm, int l, int lanes, const transition_t *f, int na,
-                               int nr, const states_t *of, const double *phi, const double *change,
-                               double variance, const double *P, const double *mean, double *columns,
-                               int stride)
+ * dm += dF m and dP += dF P F' + F P dF' - variance (dphi phi' + phi dphi'); FP, of the covariance
+ * before the step, and dm have a stride. */
+static void add_changed_memory(double *dP, double *dm, int l, int lanes, int na, int nr, int size,
+                               const states_t *of, const double *phi, const double *change,
+                               double variance, const double *FP, int stride, const double *mean)
 {
-    for (int c = 0; c < of->n; ++c) { /* columns of F P */
-        double *column = columns + (size_t)c * stride;
-        const double *from = P + (size_t)(na + of->at[c]) * stride;
-        for (int i = 0; i < f->size; ++i) {
-            column[i] = 0.0;
-            for (int e = f->first[i]; e < f->first[i + 1]; ++e) column[i] += f->value[e] * from[f->index[e]];
-        }
-    }
     for (int r = 0; r < of->n; ++r) {
         const int i = na + of->at[r];
         const double *by = change + (size_t)of->at[r] * nr;
-        dm[(size_t)i * lanes + l] += shared(by, mean + na, of);
-        for (int j = 0; j < f->size; ++j) {
-            double moved = 0.0;
-            for (int c = 0; c < of->n; ++c) moved += by[of->at[c]] * columns[(size_t)c * stride + j];
-            dP[(size_t)PAIR(i, j) * lanes + l] += (i == j ? 2.0 : 1.0) * moved;
-        }
+        dm[(size_t)i * stride + l] += shared(by, mean + na, of);
+        for (int j = 0; j < size; ++j)
+            dP[(size_t)PAIR(i, j, size) * lanes + l] +=
+                (i == j ? 2.0 : 1.0) * shared(by, FP + (size_t)j * stride + na, of);
         for (int c = 0; c < of->n; ++c) { /* each of two rows gives one half of what stands between */
             const int j = na + of->at[c];
             const double fresh = variance * shared(by, phi + (size_t)of->at[c] * nr, of);
-            dP[(size_t)PAIR(i, j) * lanes + l] -= (i == j ? 2.0 : 1.0) * fresh;
+            dP[(size_t)PAIR(i, j, size) * lanes + l] -= (i == j ? 2.0 : 1.0) * fresh;
         }
     }
 }
@@ -434,11 +323,11 @@ static inline void remember(double *mean, const double *phi, int nr, double *scr
 /* Doubles of scratch that kernel_filter needs. */
 size_t kernel_filter_work(int na, int more, int nq, int nr, int nx, int nl)
 {
-    const size_t n = na + nr, stride = round4((int)n), wide = round4(nx + nl + 1);
-    return n * stride * 3 + 2 * (n + more) * round4(nx) + (n * (n + 1) + 4 * n + NY) * round4(nl) +
-           (3 + STATES) * stride + (size_t)na * (na + nq) + (size_t)(na + more) * (na + nq + more) +
-           (size_t)2 * STATES * nr + (size_t)nr * nr +
-           NY * (stride + 2 * wide) + (round4(nl) + 1) * wide + wide * wide + 64;
+    const size_t size = na + nr, rows = size + more, stride = round4((int)size), lanes = round4(nl);
+    const size_t width = stride + round4(nx) + lanes, wide = round4(nx + nl + 1);
+    return rows * (2 * width + stride) + (3 * rows + NY) * size * lanes + NY * lanes + width + 2 * stride +
+           (size_t)nr * nr + (size_t)(na + more) * (na + nq + more) + (size_t)STATES * nr +
+           (2 * NY + 1 + lanes + wide) * wide;
 }
 
 /* Filter one record.
@@ -481,49 +370,44 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
 {
     int n_first = 0; /* disturbances of first order */
     for (int j = 0; j < nq; ++j) n_first += q_sea[j] < 0;
-    const int m = na + nq, tail = m + ncol, size = na + nr;
-    const int stride = round4(size), sx = round4(nx);
-    const int width = nx + nl + 1, wide = round4(width), lanes = round4(nl);
-    const size_t block_moves = (size_t)(size + nq) * size;
-    const size_t block = (size_t)size * stride, pairs = (size_t)size * (size + 1) / 2 * lanes;
-    double *P = work, *product = P + block, *turned = product + block, *dP = turned + block;
-    double *dPnext = dP + pairs, *dm = dPnext + pairs, *dmnext = dm + (size_t)size * lanes;
-    double *v = dmnext + (size_t)size * lanes, *line = v + (size_t)size * lanes;
-    double *white_lanes = line + (size_t)size * lanes;
-    double *X = white_lanes + (size_t)NY * lanes, *Xnext = X + (size_t)(size + more) * sx;
-    double *delta = Xnext + (size_t)(size + more) * sx, *mean = delta + stride;
-    double *column = mean + stride, *fresh = column + STATES * stride;
-    double *entries = fresh + (size_t)nr * nr, *passed = entries + (size_t)na * m + STATES * nr;
-    double *gains = passed + (size_t)(na + more) * (m + more) + STATES * nr;
-    double *rows = gains + (size_t)NY * stride;
+    const int m = na + nq, tail = m + ncol, size = na + nr, n_rows = size + more;
+    const int stride = round4(size), lanes = round4(nl), c_levels = stride + round4(nx);
+    const int joint = c_levels + lanes, width = nx + nl + 1, wide = round4(width);
+    const size_t block_moves = (size_t)(size + nq) * size, tangents = (size_t)size * lanes;
+    double *J = work, *Jnext = J + (size_t)n_rows * joint;
+    double *across = Jnext + (size_t)n_rows * joint, *dP = across + (size_t)n_rows * stride;
+    double *dPnext = dP + n_rows * tangents, *dPacross = dPnext + n_rows * tangents;
+    double *white_lanes = dPacross + n_rows * tangents, *c = white_lanes + (size_t)NY * lanes;
+    double *delta = c + joint, *mean = delta + stride, *fresh = mean + stride;
+    double *entries = fresh + (size_t)nr * nr;
+    double *rows = entries + (size_t)(na + more) * (m + more) + (size_t)STATES * nr;
     double *rowsq = rows + (size_t)NY * wide, *slope = rowsq + (size_t)NY * wide;
     double *information = slope + wide, *gram = information + (size_t)lanes * wide;
-    int place[NZ * (NZ + PROCESSES * NF) + STATES * RANDOM + 1], first_of[NZ + RANDOM + 1];
-    int passed_place[NZ * (NZ + PROCESSES * NF) + STATES * RANDOM + 1];
-    int first_passed[NZ + RANDOM + 1], sensors_remember = 0, last = -1;
+    int place[NZ + PROCESSES * NF], sensors_remember = 0, last = -1;
     const double *phi = memory;
     const int c_passing = c_disturbance + nd;
-    scalar_t scalars[MAX1(NY)];
-    const transition_t step_of = {size, size, first_of, place, entries};
-    const transition_t columns_of = {size, size + more, first_passed, passed_place, passed};
+    transition_t f = {.size = size, .rows = n_rows, .value = entries};
+    states_t states[PROCESSES * NF + NY];
+    sparse_t h;
     double z[MAX1(NZ)], seen[MAX1(NZ)], y[MAX1(NY)], p[MAX1(NP)];
     SCRATCH row_t s[MAX1(NZ)], sy[MAX1(NY)];
     double sum_log = 0.0, sum_square = 0.0, product_s = 1.0;
     active_width(c_passing + more);
     column_of = columns;
-    memset(work, 0, sizeof(double) * (size_t)(gram - work));
-    memset(gram, 0, sizeof(double) * (size_t)wide * wide);
+    memset(work, 0, sizeof(double) * (size_t)(gram + (size_t)wide * wide - work));
     memcpy(z, z0, sizeof(double) * NZ);
     memcpy(p, p0, sizeof(double) * NP);
     let_act(p, nq, q_index, mean + na);
+    for (int l = 0; l < m + more; ++l)
+        place[l] = l < na ? l : l < m ? c_disturbance + q_column[l - na] : c_passing + l - m;
     for (int i = 0; i < na + more; ++i)
-        for (int j = 0; j < nx; ++j)
-            X[(size_t)(i < na ? i : size + i - na) * sx + j] = x0[(size_t)i * nx + j];
-    for (int i = 0; i < nr; ++i) P[(size_t)(na + i) * (stride + 1)] = variance[i];
+        memcpy(J + (size_t)(i < na ? i : i + nr) * joint + stride, x0 + (size_t)i * nx, sizeof(double) * nx);
+    for (int i = 0; i < nr; ++i) J[(size_t)(na + i) * (joint + 1)] = variance[i];
+    for (int j = 0; j < nq + ncol; ++j) states[j] = states_of(owner, nr, j);
     for (int l = 0; l < nl; ++l) {
         const int at = level_at(l_kind[l], l_index[l], n_first, nq);
         for (int i = 0; i < nr; ++i)
-            if (owner[i] == at) dP[(size_t)PAIR(na + i, na + i) * lanes + l] = 1.0;
+            if (owner[i] == at) dP[(size_t)PAIR(na + i, na + i, size) * lanes + l] = 1.0;
         if (l_kind[l] == WHITE_VARIANCE) white_lanes[(size_t)l_index[l] * lanes + l] = 1.0;
     }
     for (int i = 0; i < na; ++i) sensors_remember |= uncertain[i] >= NX + NA;
@@ -537,65 +421,66 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
         if (moves_out)
             for (int j = 0; j < nq; ++j)
                 memcpy(moves_out + (size_t)k * block_moves + (size_t)(size + j) * size,
-                       P + (size_t)(na + j) * stride, sizeof(double) * size);
+                       J + (size_t)(na + j) * joint, sizeof(double) * size);
         clear_rows(s, NZ);
-        for (int i = 0; i < na; ++i) s[uncertain[i]][i] = 1.0;
-        for (int i = 0; i < more; ++i) s[uncertain[na + i]][c_passing + i] = 1.0;
+        for (int i = 0; i < na + more; ++i) s[uncertain[i]][i < na ? i : c_passing + i - na] = 1.0;
         sample_step(seen, s, input, p, times[k], since, y, sy, 1);
         for (int i = 0; i < stride; ++i) delta[i] = 0.0;
-        int n_scalars = 0;
-        /* Covariance, mean and columns first: levels follow from what is kept of each scalar. */
+        int n_seen = 0;
         for (int i = 0; i < NY; ++i) {
             const double value = measured[(size_t)k * NY + i];
             int missing = isnan(value);
-            scalar_t *one = scalars + n_scalars;
-            sparse_t *hs = &one->h;
-            double *g = gains + (size_t)n_scalars * stride, *row = rows + (size_t)n_scalars * wide;
+            double *row = rows + (size_t)n_seen * wide, *q = rowsq + (size_t)n_seen * wide;
             if (e_out) e_out[(size_t)k * NY + i] = NAN;
             if (missing && !s_out && !rows_out) continue;
             double e = missing ? 0.0 : value - y[i];
-            hs->n = 0;
-            for (int j = 0; j < na; ++j) keep_entry(hs, j, sy[i][j]);
-            for (int j = 0; j < nq; ++j) keep_entry(hs, na + j, sy[i][c_disturbance + q_column[j]]);
+            h.n = 0;
+            for (int j = 0; j < m; ++j) keep_entry(&h, j, sy[i][place[j]]);
             for (int j = 0; j < ncol; ++j)
                 if (c_output[j] == i) {
-                    keep_entry(hs, m + j, 1.0);
+                    keep_entry(&h, m + j, 1.0);
                     e -= mean[m + j];
                 }
-            e -= dot_sparse(hs, delta);
-            times_sparse(g, P, hs, stride);
-            const double S = dot_sparse(hs, g) + white[i];
+            e -= dot_sparse(&h, delta);
+            for (int j = 0; j < joint; ++j) c[j] = 0.0;
+            for (int r = 0; r < h.n; ++r) axpy(c, h.value[r], J + (size_t)h.index[r] * joint, joint);
+            for (int j = 0; j < more; ++j)
+                if (sy[i][c_passing + j] != 0.0)
+                    axpy(c, sy[i][c_passing + j], J + (size_t)(size + j) * joint, joint);
+            for (int j = 0; j < np; ++j) c[stride + nx - np + j] += sy[i][c_parameter + j];
+            const double *g = c; /* P h comes first */
+            const double explained = dot_sparse(&h, g), S = explained + white[i];
             if (!(S > 0.0) || !isfinite(e)) return k;
-            const double inverse = 1.0 / S;
+            const double inverse = 1.0 / S, root = sqrt(inverse);
             if (e_out && !missing) e_out[(size_t)k * NY + i] = e;
+            if (s_out) s_out[(size_t)k * NY + i] = S;
             if (beyond) missing |= e * e * inverse > beyond[(size_t)k * NY + i];
             if (gains_out) {
                 double *kept = gains_out + ((size_t)k * NY + i) * 2 * size;
-                for (int r = 0; r < hs->n; ++r) kept[hs->index[r]] = hs->value[r];
+                for (int r = 0; r < h.n; ++r) kept[h.index[r]] = h.value[r];
                 for (int j = 0; j < size; ++j) kept[size + j] = g[j] * inverse;
             }
-            for (int j = 0; j < wide; ++j) row[j] = 0.0;
-            for (int j = 0; j < np; ++j) row[nx - np + j] = -sy[i][c_parameter + j];
-            for (int r = 0; r < hs->n; ++r) axpy(row, -hs->value[r], X + (size_t)hs->index[r] * sx, nx);
-            for (int j = 0; j < more; ++j)
-                if (sy[i][c_passing + j] != 0.0)
-                    axpy(row, -sy[i][c_passing + j], X + (size_t)(size + j) * sx, nx);
-            if (s_out) s_out[(size_t)k * NY + i] = S;
-            one->inverse = inverse;
-            one->output = i;
-            one->missing = missing;
-            one->corrects = 0;
-            for (int r = 0; r < size; ++r) one->corrects |= g[r] != 0.0;
-            one->g = g;
-            one->row = row + nx;
-            one->rowq = rowsq + (size_t)n_scalars * wide;
-            n_scalars += !missing || rows_out;
-            if (missing) continue;
-            for (int r = 0; r < size; ++r) axpy(X + (size_t)r * sx, g[r] * inverse, row, nx);
-            for (int r = 0; r < size; ++r) axpy(P + (size_t)r * stride, -g[r] * inverse, g, stride);
+            for (int j = 0; j < nx; j += 4)
+                *(four_t *)(row + j) = -root * *(const four_t *)(c + stride + j);
+            for (int l = 0; l < nl; ++l) row[nx + l] = -root * c[c_levels + l];
+            row[nx + nl] = root * e;
+            if (!missing)
+                for (int r = 0; r < size; ++r) axpy(J + (size_t)r * joint, -g[r] * inverse, c, joint);
+            if (nl > 0) {
+                memcpy(q, white_lanes + (size_t)i * lanes, sizeof(double) * lanes);
+                measure_levels(dP, J + c_levels, joint, q, &h, g, e, inverse, !missing,
+                               explained != 0.0, size, lanes);
+            }
+            if (rows_out) {
+                double *target = rows_out + ((size_t)k * NY + i) * (nx + 2 * nl);
+                memcpy(target, row, sizeof(double) * (nx + nl));
+                if (!missing) memcpy(target + nx + nl, q, sizeof(double) * nl);
+            }
+            if (missing) continue; /* moves nothing */
+            ++n_seen;
             axpy(delta, e * inverse, g, size);
-            one->e = e;
             const double square = e * e * inverse;
+            axpy(slope, 0.5 * (1.0 - square), q, nl);
             /* One logarithm for many variances. */
             product_s *= S;
             if (product_s < 1e-200 || product_s > 1e200) {
@@ -604,27 +489,8 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             }
             sum_square += square;
         }
-        if (nl > 0) measure_levels(dP, dm, white_lanes, scalars, n_scalars, nl, size, v, lanes);
-        for (int o = 0; o < n_scalars; ++o) {
-            const scalar_t *one = scalars + o;
-            double *row = rows + (size_t)o * wide;
-            const double *rowq = one->rowq, root = sqrt(one->inverse);
-            for (int a = 0; a < nx + nl; ++a) row[a] *= root;
-            if (rows_out) {
-                double *target = rows_out + ((size_t)k * NY + one->output) * (nx + 2 * nl);
-                memcpy(target, row, sizeof(double) * (nx + nl));
-                if (!one->missing) memcpy(target + nx + nl, rowq, sizeof(double) * nl);
-            }
-            if (one->missing) { /* moves nothing */
-                memset(row, 0, sizeof(double) * wide);
-                memset(one->rowq, 0, sizeof(double) * wide);
-                continue;
-            }
-            row[nx + nl] = root * one->e;
-            axpy(slope, 0.5 * (1.0 - one->e * one->e * one->inverse), rowq, nl);
-        }
-        add_products(gram, rows, n_scalars, wide, width);
-        add_products(information, rowsq, n_scalars, wide, nl);
+        add_products(gram, rows, n_seen, wide, width);
+        add_products(information, rowsq, n_seen, wide, nl);
         for (int i = 0; i < na; ++i) z[uncertain[i]] += delta[i];
         for (int i = na; i < size; ++i) mean[i] += delta[i];
         if (path_out) {
@@ -646,8 +512,8 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             part_of_interval(times + k, input, step, steps, inner_times, inner_inputs);
             let_act(p, nq, q_index, mean + na);
             clear_rows(s, NZ);
-            for (int i = 0; i < na; ++i) s[uncertain[i]][i] = 1.0;
-            for (int i = 0; i < more; ++i) s[uncertain[na + i]][c_passing + i] = 1.0;
+            for (int i = 0; i < na + more; ++i)
+                s[uncertain[i]][i < na ? i : c_passing + i - na] = 1.0;
             /* Sensor memory moves on with what is known after the measurement. */
             if (NS > 0 && step == 0) {
                 if (sensors_remember)
@@ -656,63 +522,27 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                     memcpy(z + NX + NA, seen + NX + NA, sizeof(double) * NS);
             }
             advance_interval(z, s, inner_times, inner_inputs, p, h_max, 0, 1);
-            int count_entries = 0;
-            for (int i = 0; i < na; ++i) {
-                const double *row = s[uncertain[i]];
-                first_of[i] = count_entries;
-                for (int l = 0; l < m; ++l) {
-                    const double value = l < na ? row[l] : row[c_disturbance + q_column[l - na]];
-                    if (value == 0.0) continue;
-                    place[count_entries] = l;
-                    entries[count_entries++] = value;
-                }
-            }
-            keep_memory(first_of, place, entries, count_entries, phi, na, nr);
-            if (moves_out)
-                keep_move(moves_out + (size_t)k * block_moves, &step_of, step, product, turned);
-            if (nx > 0) {
-                double *before = X;
-                int n_passed = 0;
-                for (int i = 0; i < na + more; ++i) {
-                    const double *row = s[uncertain[i]];
-                    if (i == na) n_passed = keep_memory(first_passed, passed_place, passed, n_passed, phi, na, nr);
-                    first_passed[i < na ? i : size + i - na] = n_passed;
-                    for (int l = 0; l < m + more; ++l) {
-                        const double value = l < na  ? row[l]
-                                             : l < m ? row[c_disturbance + q_column[l - na]]
-                                                     : row[c_passing + l - m];
-                        if (value == 0.0) continue;
-                        passed_place[n_passed] = l < m ? l : size + l - m;
-                        passed[n_passed++] = value;
-                    }
-                }
-                if (more == 0) n_passed = keep_memory(first_passed, passed_place, passed, n_passed, phi, na, nr);
-                first_passed[size + more] = n_passed;
-                move_rows(Xnext, &columns_of, X, sx);
-                for (int i = 0; i < na + more; ++i)
-                    for (int j = 0; j < np; ++j)
-                        Xnext[(size_t)(i < na ? i : size + i - na) * sx + nx - np + j] +=
-                            s[uncertain[i]][c_parameter + j];
-                X = Xnext;
-                Xnext = before;
+            keep_transition(&f, (const row_t *)s, uncertain, place, phi, na, nq, nr);
+            if (moves_out) keep_move(moves_out + (size_t)k * block_moves, &f, step, across, Jnext);
+            moved(Jnext, &f, n_rows, J, joint);
+            double *before = J;
+            J = Jnext;
+            Jnext = before;
+            for (int i = 0; i < na + more; ++i) {
+                double *row = J + (size_t)(i < na ? i : i + nr) * joint;
+                for (int j = 0; j < np; ++j) row[stride + nx - np + j] += s[uncertain[i]][c_parameter + j];
+                if (i >= na) memset(row, 0, sizeof(double) * stride); /* is certain */
             }
             if (nl > 0) {
-                double *before = dP;
-                move_levels(dPnext, &step_of, dP, line, lanes);
-                dP = dPnext;
-                dPnext = before;
-                before = dm;
-                move_rows(dmnext, &step_of, dm, lanes);
-                dm = dmnext;
-                dmnext = before;
+                turn_lanes(dP, dP, size, lanes);
+                moved(dPnext, &f, size, dP, (int)tangents);
+                turn_lanes(dPacross, dPnext, size, lanes);
+                moved(dP, &f, size, dPacross, (int)tangents);
             }
             for (int l = 0; l < nl; ++l) {
                 const int kind = l_kind[l], index = l_index[l];
                 const int at = level_at(kind, index, n_first, nq);
-                if (at >= 0) {
-                    const states_t of = states_of(owner, nr, at);
-                    add_fresh_lane(dP, l, lanes, phi, na, nr, &of);
-                }
+                if (at >= 0) add_fresh_lane(dP, l, lanes, phi, na, nr, size, states + at);
                 for (int j = 0; j < nq + ncol; ++j) {
                     /* One time, or with index -1 that of all; period and damping those of a sea. */
                     int hit = j < nq ? kind == FORCE_TIME && q_sea[j] < 0 : kind == COLOUR_TIME;
@@ -720,16 +550,20 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                     hit |= j < nq && (kind == SEA_PERIOD || kind == SEA_DAMPING) && q_sea[j] == index;
                     if (!hit) continue;
                     const double *change = phi + (size_t)(kind == SEA_DAMPING ? 2 : 1) * nr * nr;
-                    const states_t of = states_of(owner, nr, j);
-                    add_changed_memory(dP, dm, l, lanes, &step_of, na, nr, &of, phi, change,
-                                       variance[j], P, mean, column, stride);
+                    add_changed_memory(dP, J + c_levels, l, lanes, na, nr, size, states + j, phi,
+                                       change, variance[j], J, joint, mean);
                 }
             }
-            sandwich(P, &step_of, product, turned, stride);
+            /* P = F (F P)' + Q. */
+            for (int i = 0; i < size; ++i)
+                for (int j = 0; j < size; ++j) across[(size_t)j * stride + i] = J[(size_t)i * joint + j];
+            moved(Jnext, &f, size, across, stride);
+            for (int i = 0; i < size; ++i)
+                memcpy(J + (size_t)i * joint, Jnext + (size_t)i * stride, sizeof(double) * stride);
             for (int i = 0; i < nr; ++i)
                 for (int j = 0; j < nr; ++j)
-                    P[(size_t)(na + i) * stride + na + j] += fresh[(size_t)i * nr + j];
-            remember(mean + na, phi, nr, column);
+                    J[(size_t)(na + i) * joint + na + j] += fresh[(size_t)i * nr + j];
+            remember(mean + na, phi, nr, delta);
         }
         let_act(p, nq, q_index, mean + na);
     }

@@ -766,11 +766,12 @@ class FilterKernel(Kernel):
             Whether to return transitions and covariances, for a smoother.
         """
         n, noise = len(along.times), along.noise
-        z0, dz0, kept = self._begun(along)
+        passing = along.passing if own_columns or names else ()
+        z0, dz0, kept = self._begun(along, passing)
         chosen = np.array([self._free[name] for name in names], dtype=int)
         random = [self._free[name] for name in noise.acting]
         self._check_processes(noise)
-        n_passing = len(along.passing)
+        n_passing = len(passing)
         n_active = len(kept) - n_passing
         own_states = range(self.n_own if own_columns else 0)
         first = dz0[np.ix_(kept, [*own_states, *(self.n_own + chosen)])]
@@ -838,7 +839,6 @@ class FilterKernel(Kernel):
         Parameters
         ----------
         along : Along
-            Without components that only pass derivatives on.
         gains : ndarray (n_times, n_outputs, 2, n)
             As a pass with the same active components, disturbances and colours has kept them.
 
@@ -850,7 +850,7 @@ class FilterKernel(Kernel):
             Whether everything stayed finite.
         """
         n, noise = len(along.times), along.noise
-        z0, _, kept = self._begun(along)
+        z0, _, kept = self._begun(along, ())
         innovations = np.full((n, self.n_outputs), np.nan)
         if self.library is None:
             failed = InterpretedFilter(self.model, along, z0, kept).replay(gains, innovations)
@@ -868,11 +868,13 @@ class FilterKernel(Kernel):
         )  # fmt: skip
         return innovations, failed < 0
 
-    def _begun(self, along: Along) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _begun(
+        self, along: Along, passing: Sequence[int] | np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """First full state, its derivatives, and the components that are kept."""
         z0, dz0 = self.start(along.own, along.inputs[0], along.values, along.times[0])
         active = range(self.n_full) if along.active is None else along.active
-        return z0, dz0, np.ascontiguousarray([*active, *along.passing], dtype=np.intc)
+        return z0, dz0, np.ascontiguousarray([*active, *passing], dtype=np.intc)
 
     def _check_processes(self, noise: Disturbed) -> None:
         for name in noise.acting:

@@ -75,9 +75,11 @@ static inline void step_rows(row_t *restrict target, const row_t *base, double f
                 *(const four_t *)(base[i] + j) + factor * *(const four_t *)(rate[i] + j);
 }
 
+/* target += factor source, in the columns in use; derivatives by what is absent are zero. */
 static inline void add_scaled(double *restrict target, double factor, const double *restrict source)
 {
     const int width = ACTIVE;
+    if (factor == 0.0) return;
     for (int j = 0; j < width; j += 4)
         *(four_t *)(target + j) += factor * *(const four_t *)(source + j);
 }
@@ -355,7 +357,9 @@ static ONCE void sample_step(double *z, row_t *s, const double *input, const dou
     double w[MAX1(W_OBSERVE)];
     casadi_int iw[MAX1(IW_OBSERVE)];
     SCRATCH row_t sd[MAX1(ND)], snext[MAX1(NS)];
-    actuate_stage(z + NX, input, p, t, h, d, NULL, (const row_t *)s, sd, NULL, with_sensitivities);
+    /* Signals of actuators only where a sensor sees them. */
+    if (NNZ_JYD + NNZ_JSD > 0)
+        actuate_stage(z + NX, input, p, t, h, d, NULL, (const row_t *)s, sd, NULL, with_sensitivities);
     const double *arg[8] = {z, d, z + NX + NA, p, &t, &h};
     if (!with_sensitivities) {
         double *res[4] = {y, next};
