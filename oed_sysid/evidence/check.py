@@ -124,6 +124,8 @@ def check(
     """
     began = perf_counter()
     model = problem.model if isinstance(problem, Problem) else problem
+    if model is not None or not isinstance(dataset, Dataset):
+        check_channels(model, dataset)
     traces = [Trace.of(r, spare_signals(r)) for r in dataset]
     equations = _equations(dataset, model, traces)
     faults, traces = screened(traces)
@@ -369,7 +371,6 @@ def _equations(
     spare = everywhere - set(dataset.channels.output_names)
     missing = set.intersection(*(set(record.missing_outputs) for record in dataset))
     if model is not None:
-        check_channels(model, dataset)
         return relations(model, spare, missing)
     return tuple(standard([o for o in dataset.channels.outputs if o.name not in missing], spare))
 
