@@ -61,8 +61,6 @@ class Standing:
         Everything that was asked, in this order.
     replaced, dropped : tuple of str
         Known effects whose place a term took; effects that do not come back.
-    calm : NoiseModel or None
-        Forces of first order whose place a sea took.
     """
 
     study: Study
@@ -72,7 +70,6 @@ class Standing:
     decisions: tuple[Claim, ...] = ()
     replaced: tuple[str, ...] = ()
     dropped: tuple[str, ...] = ()
-    calm: NoiseModel | None = None
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -253,10 +250,10 @@ class Search:
             chosen, decisions = once("choice", partial(choice, state, ranking))
             state = replace(state, decisions=(*state.decisions, *decisions))
             rival = None if chosen is None else chosen[1]
-            calm = state.calm
+            calm = not state.fit.noise.seas
             state = once("a sea", partial(with_waves, state, rival))
             yield state, ranking
-            if calm is None and state.calm is not None:
+            if calm and state.fit.noise.seas:
                 tell("confirmed a sea in the place of disturbance forces of first order")
                 continue
             if chosen is None:
@@ -316,7 +313,7 @@ def with_waves(state: Standing, rival: Claim | None) -> Standing:
         return state  # asked again beside what explains more
     # A force that follows motion or commands is physics, whatever its period.
     if taken := decided.stands and not followed(found):
-        state = replace(state, fit=found, calm=fit.noise, path=(*state.path[:-1], found))
+        state = replace(state, fit=found, path=(*state.path[:-1], found))
     else:
         decided = decided.passed_over("but its forces follow motion or commands")
     earlier = (
@@ -334,8 +331,7 @@ def _at_sea(state: Standing, *, last: bool) -> tuple[FilteredSolution, list[str]
     """
     fit, setting = state.fit, state.study.setting
     places = [place for place in setting.at_sea if place in fit.noise.places]
-    asked = state.calm is None and not setting.seas and not fit.noise.seas
-    if not (asked and places):
+    if setting.seas or fit.noise.seas or not places:
         return fit, []
     found = with_sea(fit, replace(setting, any_sea=True))
     if last and found is fit and np.any((fit.noise.colour > 0) & ~state.study.estimated):
@@ -346,18 +342,6 @@ def _at_sea(state: Standing, *, last: bool) -> tuple[FilteredSolution, list[str]
 def _explained(sea: Claim, rival: Claim) -> bool:
     """Whether an effect is worth more than a sea, or leaves whole runs that are much better."""
     return sea.statistic <= rival.statistic or TWOFOLD * rival.after < sea.after
-
-
-def calmed(state: Standing) -> Standing:
-    """Forces of first order again, where beside what was added since a sea is not needed."""
-    if state.calm is None or not state.fit.noise.seas:
-        return state
-    study, fit = state.study, state.fit
-    calm = study.estimate(state.effects, fit.values, fit, noise=state.calm)
-    needed = threshold(len(state.left) + 1, len(fit.noise.seas[0].places) + 2)
-    if calm is None or claim(study, calm, fit, (), needed).stands:
-        return state
-    return replace(state, fit=calm)
 
 
 def choice(
@@ -442,7 +426,7 @@ def not_astray(study: Study, fit: FilteredSolution) -> FilteredSolution:
 
 def asked_again(state: Standing) -> Standing:
     """Drop what costs less than its threshold to leave out; exchange what another does better."""
-    state = eliminated(calmed(state))
+    state = eliminated(state)
     for old in state.added[:-1]:
         if old in state.added:
             state = _exchanged(state, old)
