@@ -21,8 +21,10 @@ from oed_sysid.runtime.constants import RANK_TOLERANCE
 # What is left of a signature after projection, as a share of it, or of a statistic after its
 # linearised cause, below which what is estimated does the same.
 ABSORBED = 1e-3
-# Below this share of the largest eigenvalue, a direction of an information is rounding error.
+# Below this share of the largest eigenvalue, a direction of an information is none.
 NOTHING = RANK_TOLERANCE**2
+# ... and is rounding error where a step is solved for: steps go along whatever is more.
+NULL_EIGENVALUE = 1e-13
 
 
 def bounded_step(
@@ -59,11 +61,11 @@ def bounded_step(
     # LAPACK itself: SciPy's checks of its arguments take longer than a small factorization.
     triangle, failed = dpotrf(scaled)
     # Rounding errors, not the data, decide along directions with a smaller pivot.
-    if not failed and np.min(np.diag(triangle)) ** 2 >= 10 * NOTHING:
+    if not failed and np.min(np.diag(triangle)) ** 2 >= 10 * NULL_EIGENVALUE:
         step[open_] = scale * dpotrs(triangle, target)[0]
     else:
         values, vectors = np.linalg.eigh(scaled)
-        seen = values > NOTHING * values[-1]
+        seen = values > NULL_EIGENVALUE * values[-1]
         vectors, roots = vectors[:, seen], np.sqrt(values[seen])
         step[open_] = scale * (vectors @ ((vectors.T @ target) / roots**2))
         triangle = roots[:, None] * vectors.T
