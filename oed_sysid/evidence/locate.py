@@ -363,8 +363,7 @@ class _Bench:
         least = CLEAR
         for index, part in enumerate(found):
             if part.fit.reason == "iterations" and part.reach > least:
-                here = part.fit.problem, part.fit.point
-                end = solve_filtered(*here, tolerance=NEAR, polish=0, begin=part.fit.now)
+                end = solved(part.fit, tolerance=NEAR)
                 found[index] = replace(part, fit=end.finite or part.fit)
             least = max(least, found[index].gain - GROUP_WIDTH)
         return sorted(found, key=lambda part: -part.gain)
