@@ -640,6 +640,21 @@ def test_an_input_that_never_repeats_a_value_is_judged() -> None:
     assert set(states.values()) == {"tested"}
 
 
+def test_fast_motion_is_not_smaller_for_the_nominal_model() -> None:
+    """A yaw rate with a period of fifteen samples keeps its size, and loses half of its noise."""
+    model, t, rng = believed_yaw(), 0.2 * np.arange(600), np.random.default_rng(0)
+    motion = np.column_stack([-np.cos(2.0 * np.pi * t / 3.0), np.sin(2.0 * np.pi * t / 3.0)])
+    record = Record(
+        "run", t, np.zeros((600, 1)), motion + 0.02 * rng.standard_normal((600, 2)), model.channels
+    )
+    (trace,) = inputs._traces(Dataset((record,)), model, ())
+    taken, true = trace.values[inputs.smooth("r")], motion[:, 1]
+    assert taken @ true / (taken @ taken) == pytest.approx(1.0, abs=0.05)
+    slow = replace(record, outputs=record.outputs - motion)
+    (trace,) = inputs._traces(Dataset((slow,)), model, ())
+    assert np.std(trace.values[inputs.smooth("r")]) == pytest.approx(0.01, rel=0.1)
+
+
 def test_records_that_are_broken_in_one_equation_tell_nothing_of_inputs() -> None:
     """Two pieces of one equation and none of another are not one of each."""
     t, rng = 0.1 * np.arange(600), np.random.default_rng(0)

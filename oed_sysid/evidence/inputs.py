@@ -50,7 +50,6 @@ from oed_sysid.evidence.contrasts import (
     Question,
     System,
     contrasts,
-    hann,
     plain_readings,
 )
 from oed_sysid.evidence.corrections import ORDER, corrected
@@ -332,8 +331,8 @@ def _trace(record: Record, model: Model) -> Iterator[Trace]:
         name = model.state_names[k]
         present = np.isfinite(values[name])
         filled = np.where(present, values[name], guess)
-        means = hann(filled, 5) if noise[name] else filled
-        values[smooth(name)] = np.where(present, means, np.nan)
+        taken = _parabolas(filled) if noise[name] else filled
+        values[smooth(name)] = np.where(present, taken, np.nan)
     noise |= {smooth(name): level for name, level in noise.items()}
     values |= dict(zip(model.input_names, record.inputs.T, strict=True))
     for p in model.free_parameters:
@@ -347,13 +346,22 @@ def _trace(record: Record, model: Model) -> Iterator[Trace]:
 
 
 def smooth(name: str) -> str:
-    """Name of a state as the nominal model takes it: means over some samples.
+    """Name of a state as the nominal model takes it: by local parabolas.
 
     Noise in what a model is evaluated at stands in the contrast and in its regressors, which makes
-    coefficients too small (errors in variables; Fuller 1987). Means leave less of it, and leave
-    the integral of an equation as it is.
+    coefficients too small (errors in variables; Fuller 1987). Parabolas leave a quarter of its
+    variance, as means over half as many samples do, but these would also make fast motion smaller,
+    and begin its answer before its cause.
     """
     return f"{name} smoothed"
+
+
+def _parabolas(series: np.ndarray) -> np.ndarray:
+    """Parabolas through nine samples each, at their middle (Savitzky & Golay 1964)."""
+    from scipy.signal import savgol_filter  # takes half a second
+
+    result: np.ndarray = savgol_filter(series, 9, 2)
+    return result
 
 
 def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question:
