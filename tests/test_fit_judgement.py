@@ -105,6 +105,24 @@ def test_wrong_noise_levels_are_found(factor: float) -> None:
         assert np.allclose(list(found.values()), 1.0 / factor, rtol=0.15)
 
 
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+def test_autocorrelated_noise_counts_with_what_was_declared(factor: float) -> None:
+    """Noise of the declared size is right though not white; noise of twice the size is named."""
+    rng = np.random.default_rng(2)
+
+    def colour(record: Record) -> np.ndarray:
+        white = rng.standard_normal(record.outputs.shape)
+        return record.outputs + factor * NOISE * gauss_markov(white, 0.7)
+
+    spoilt = changed(yaw_data(6, noise=np.zeros(2)), colour)
+    outputs = (replace(o, noise_std=n) for o, n in zip(yaw_model().outputs, NOISE, strict=True))
+    fit = MultipleShooting().fit(replace(yaw_model(), outputs=tuple(outputs)), spoilt)
+    assert (fit.noise.white < 0.5 * factor * NOISE).all()
+    found = {c.signal: c.size for c in fit.concerns if c.kind == "noise_level"}
+    assert set(found) == ({"psi", "r"} if factor > 1.0 else set())
+    assert np.allclose(list(found.values()), factor, rtol=0.2)
+
+
 @pytest.mark.parametrize("size", [6.0, 10.0])
 @pytest.mark.parametrize("one_sided", [False, True])
 def test_spikes_are_found_and_left_out(size: float, one_sided: bool) -> None:

@@ -300,13 +300,20 @@ def _levels(fit: Estimate) -> Iterator[Found]:
         if told is None:
             continue
         factor, error, tests = told
-        # A filter that was told less white noise than there is finds the rest elsewhere.
-        factor *= float(fit.sigma[column] / declared[column])
+        # Declared is the noise of one measurement, white and autocorrelated together. A filter that
+        # was told less white noise than there is finds the rest elsewhere.
+        slow, whole = fit.noise.colour[column], fit.noise.sensors[column]
+        factor *= float(whole / declared[column])
+        if slow > 0.0:
+            rest = fit.noise_std.get(f"colour of {output.name} level", 0.0)
+            error = float(np.hypot(error, rest * (slow / whole) ** 2))
         if abs(np.log(factor)) < max(CLEAR * error, np.log(LEVEL_FACTOR)):
             continue
         wrong = "small" if factor > 1.0 else "large"
         so = f"Standard errors are too {wrong} for it: set noise_std, or noise='estimate'."
         if tests and factor > 1.0:
+        if slow > 0.0:
+            so = "Standard errors hold what was found, part of it autocorrelated: correct noise_std."
             so = (
                 "Standard errors are from the scatter of the tests. Look for what the model "
                 "lacks, or state a larger noise."
