@@ -286,6 +286,9 @@ def test_delays_are_measured(delay: float) -> None:
         assert found.signal == "psi"
         one = next(d for d in estimate_departures(fit) if (d.signal, d.kind) == ("psi", "late"))
         assert abs(one.size - delay) < 3.5 * one.std + 0.1 * abs(delay)
+        # Residuals of steps that are too coarse look the same, and are none of the log.
+        coarse = replace(fit, status=replace(fit.status, code="integration"))
+        assert "delay" not in kinds(coarse)
 
 
 @pytest.mark.parametrize(("kind", "size"), [("off", 1.0), ("off", -2.0), ("scale", 0.1)])

@@ -15,6 +15,7 @@ from benchmarks.truth import gauss_markov
 from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Record, Solver, State
 from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.integration import BIAS, moved, resolved, step_change
 from oed_sysid.physics import Parameter, actuator_delay, actuator_lag, sensor_lag
 from oed_sysid.runtime.display import TWO_SIDED_95
@@ -271,6 +272,28 @@ def test_what_a_finer_step_cures_is_kept_though_no_estimate_moved() -> None:
     assert kept is coarse
     assert cured.status.ok
     assert cured.model.step < 0.2
+
+
+def test_a_fit_goes_on_by_finer_steps_though_one_between_does_not_end() -> None:
+    """At half the step a force still jumps for the iterations; a quarter of it cures the fit."""
+    fine = MultipleShooting(disturbances="none").fit(rubbing(0.2 / 64), slid(0))
+    coarse = replace(fine, model=replace(fine.model, step=0.2))
+    depending = replace(coarse, status=replace(fine.status, code="integration"))
+    asked = []
+
+    def again(step: float, at: Fit) -> Fit:
+        asked.append(step)
+        code = "iterations" if step > 0.06 else "converged"
+        model = replace(fine.model, step=step)
+        return replace(fine, model=model, status=replace(fine.status, code=code))
+
+    cured = resolved(depending, again)
+    assert asked[:2] == [0.1, 0.05]
+    assert cured.status.ok
+    assert cured.integration is not None
+    assert cured.integration.step == 0.2
+    # One that does not need a cure stays as it is.
+    assert resolved(coarse, again) is coarse
 
 
 @pytest.mark.parametrize("count", [8, *slow(12)])

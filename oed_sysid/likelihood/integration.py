@@ -129,17 +129,19 @@ def resolved(fit: Ended, again: Callable[[float, Ended], Ended]) -> Ended:
         The fit by another step in s, from where an earlier one ended.
     """
     first = fit
-    for _ in range(4):  # to a sixteenth: what needs more jumps, and no step will do
+    for halvings in range(1, 5):  # to a sixteenth: what needs more jumps, and no step will do
         if fit.status.code not in ENDED or half_step_change(fit).total < BIAS:
             break
-        finer = again(0.5 * fit.model.step, fit)
-        # What a finer step cures stays cured, though no estimate moved.
-        same = fit.status.code == "converged" and moved(fit, finer)[0] < BIAS
-        if finer.status.code not in ENDED or same:
+        finer = again(first.model.step / 2**halvings, fit)
+        ended = finer.status.code in ENDED
+        # What a finer step cures stays cured, though no estimate moved; what needs a cure goes on
+        # to still finer ones, though the iterations between did not end.
+        if fit.status.code == "converged" and not (ended and moved(fit, finer)[0] >= BIAS):
             break
-        size, name = moved(first, finer)
-        told = Integration(first.model.step, name, size)
-        fit = replace(finer, integration=told, iterations=fit.iterations + finer.iterations)
+        if ended:
+            size, name = moved(first, finer)
+            told = Integration(first.model.step, name, size)
+            fit = replace(finer, integration=told, iterations=fit.iterations + finer.iterations)
     return fit
 
 

@@ -468,8 +468,9 @@ def _spikes(fit: Estimate) -> Iterator[Found]:
 
 
 def _own_residuals(fit: Estimate) -> bool:
-    """Whether the model's own residuals tell what parameters have bent to."""
-    return fit.innovations is None and bool(fit.names)
+    """Whether the model's own residuals, not those of its steps, tell what parameters bent to."""
+    resolved = fit.status.code != "integration"
+    return resolved and fit.innovations is None and bool(fit.names)
 
 
 def _departure(kinds: Sequence[str], fit: Estimate) -> Iterator[Found]:
