@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -166,14 +167,32 @@ def test_slow_noise_of_a_sensor_that_follows_the_motion() -> None:
     assert [law.place for law in found["law"] or ()] == ["noise of r"]
 
 
-def ferry(seed: int, fades: float, n: int = 400) -> Record:
-    """Speed under ordered thrust that fades over the run; exact steps of a linear drag."""
+def ferry(seed: int, acts: Callable[[float], float], least: float = 0.3, n: int = 400) -> Record:
+    """Speed under ordered thrust, of which a share acts that depends on the part of the run.
+
+    Exact steps of a linear drag.
+    """
     rng, step, u, rows = np.random.default_rng(seed), 0.5, 0.0, []
-    order = np.repeat(rng.uniform(0.3, 1.0, 20), n // 20)
+    order = np.repeat(rng.uniform(least, 1.0, 20), n // 20)
     for k, one in enumerate(order):
         rows.append(u + 0.01 * rng.standard_normal())
-        u += (one * (1.0 - fades * k / n) - u) * -np.expm1(-step / 8.0)
+        u += (one * acts(k / n) - u) * -np.expm1(-step / 8.0)
     return Record(f"{seed}", step * np.arange(n), order[:, None], np.array(rows), FERRY.channels)
+
+
+def whole(into: float) -> float:
+    """All of the thrust acts, all the time."""
+    return 1.0
+
+
+def fading(into: float) -> float:
+    """Thrust that fades by 15 % over the run."""
+    return 1.0 - 0.15 * into
+
+
+def failing(into: float) -> float:
+    """Thrust that fails for a tenth of the run."""
+    return float(not 0.26 < into < 0.37)
 
 
 FERRY = Model(
@@ -190,7 +209,7 @@ FERRY = Model(
 def test_what_fades_follows_the_time_in_the_run() -> None:
     """The remark names time, and a fading gain is among usual candidates and is found."""
     train, validation = (
-        Dataset(tuple(ferry(s, 0.15) for s in seeds)) for seeds in ((1, 2, 3), (4,))
+        Dataset(tuple(ferry(s, fading) for s in seeds)) for seeds in ((1, 2, 3), (4,))
     )
     follows = MultipleShooting().fit(FERRY, train).whole_runs.follows
     assert follows
@@ -200,8 +219,20 @@ def test_what_fades_follows_the_time_in_the_run() -> None:
     assert [step.added for step in found.steps if step.added] == ["n_fading"]
     size, error = (of["E_n_fading"] for of in (found.fit.values, found.fit.std_errors))
     assert abs(size + 0.15 / 200.0) < 4.0 * error
-    calm = MultipleShooting(disturbances="all").fit(FERRY, Dataset((ferry(5, 0.0), ferry(6, 0.0))))
+    right = Dataset((ferry(5, whole), ferry(6, whole)))
+    calm = MultipleShooting(disturbances="all").fit(FERRY, right)
     assert not calm.whole_runs.follows
+
+
+@pytest.mark.parametrize("seed", [0, 10])
+def test_what_fails_for_some_time_follows_the_time_in_the_run(seed: int) -> None:
+    """A command ahead and astern that does nothing for a tenth of each run is no disturbance."""
+    runs = Dataset(tuple(ferry(seed + k, failing, -1.0) for k in (1, 2)))
+    fit = MultipleShooting().fit(FERRY, runs)
+    assert fit.noise.has_forces
+    (law,) = fit.whole_runs.follows
+    assert IN_THE_RUN in law.signals
+    assert law.statistic > 60.0
 
 
 def test_waves_too_fast_for_the_samples_are_not_asked() -> None:

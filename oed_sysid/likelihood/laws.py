@@ -7,9 +7,9 @@ function of motion and commands. At the estimate,
 
 with :math:`f_j` piecewise linear functions of every state on the filtered path and of every command
 that moves, and these after lags of first order, and of the time since the record began, alone and
-times each command: what fades or warms up is one, too. With the derivatives :math:`G` of the
-whitened innovations :math:`e` by the :math:`a_j`, and :math:`K` those by everything that was
-estimated,
+times each command: what fades, warms up or fails for some time is one, too. With the derivatives
+:math:`G` of the whitened innovations :math:`e` by the :math:`a_j`, and :math:`K` those by
+everything that was estimated,
 
 .. math::
     s = -G'e + G'K (K'K)^{+} K'e, \qquad M = G'G - G'K (K'K)^{+} K'G, \qquad T = s' M^{+} s
@@ -447,8 +447,11 @@ def _features(
         for record, part in zip(problem.records, passes, strict=True)
     ]
     longest = max(record.duration for record in problem.records)
-    into = [(record.times[:, None] - record.times[0]) / longest for record in problem.records]
-    found = [[np.ones_like(own)] for own in into]
+    into = [
+        _hats((record.times - record.times[0]) / longest, np.linspace(0.0, 1.0, KNOTS))
+        for record in problem.records
+    ]
+    found = [[np.ones((len(own), 1))] for own in into]
     owners = [""]
     for name in signals[0]:
         columns = [own[name] for own in signals]
@@ -459,15 +462,14 @@ def _features(
         fades = name in problem.model.input_names
         # All hats but one: they add up to the constant.
         for own, record, column, time in zip(found, problem.records, columns, into, strict=True):
-            hats = _hats(column, knots)
-            own += [hats, _lagged(record.times, column / np.std(pooled))]
-            own += [time * hats] * fades
-        size = len(knots) - 1
-        owners += [name] * (size + LAGS) + [IN_THE_RUN] * (size * fades)
+            scaled = column / np.std(pooled)
+            own += [_hats(column, knots), _lagged(record.times, scaled)]
+            own += [time * scaled[:, None]] * fades
+        owners += [name] * (len(knots) - 1 + LAGS) + [IN_THE_RUN] * ((KNOTS - 1) * fades)
     if len(owners) > 1:
         owners += [IN_THE_RUN] * (KNOTS - 1)
         for own, time in zip(found, into, strict=True):
-            own.append(_hats(time[:, 0], np.linspace(0.0, 1.0, KNOTS)))
+            own.append(time)
     return [np.hstack(own) for own in found], np.array(owners if len(owners) > 1 else [], dtype=str)
 
 
