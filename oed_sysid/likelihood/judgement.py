@@ -311,9 +311,9 @@ def _levels(fit: Estimate) -> Iterator[Found]:
             continue
         wrong = "small" if factor > 1.0 else "large"
         so = f"Standard errors are too {wrong} for it: set noise_std, or noise='estimate'."
-        if tests and factor > 1.0:
         if slow > 0.0:
-            so = "Standard errors hold what was found, part of it autocorrelated: correct noise_std."
+            so = "Standard errors hold what was found, autocorrelated part included: set noise_std."
+        if tests and factor > 1.0:
             so = (
                 "Standard errors are from the scatter of the tests. Look for what the model "
                 "lacks, or state a larger noise."
