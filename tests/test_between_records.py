@@ -49,10 +49,11 @@ def fit(differing: Dataset) -> Fit:
     ("estimator", "force", "n", "near"),
     [
         (WHITE, 0.0, 6, 0.15),
+        (MultipleShooting(disturbances="none", horizon=10.0), 0.0, 6, 0.15),
         # Levels of the forces are estimated anew in refits, and held to first order.
         *slow((MultipleShooting(), 0.02, 4, 0.35)),
     ],
-    ids=["whole records", "disturbance forces"],
+    ids=["whole records", "horizon", "disturbance forces"],
 )
 def test_first_order_is_near_refits(
     estimator: MultipleShooting, force: float, n: int, near: float

@@ -195,6 +195,7 @@ def drift_series(order: np.ndarray | None = None, *, quadratic: float = -30.0) -
     [
         {"disturbances": "none"},
         {},
+        {"horizon": 10.0},
         {"loss": "auto"},
         {"solver": Solver("ipopt")},
     ],

@@ -705,14 +705,3 @@ def test_long_records_are_compared_quickly() -> None:
     assert overlap(first, second) is None
     assert overlap(first, Dataset((first,))[0].thin(7)) is not None
     assert time.perf_counter() - began < 2.0
-
-
-def test_segments_hold_every_sample_once() -> None:
-    """Pieces of about the wanted length, in order; independent tests stay whole."""
-    times = np.arange(0.0, 20.0, 0.1)
-    run = Record("run", times, np.ones((200, 2)), np.tile(times[:, None], 3), CHANNELS)
-    tests = replace(run, name="tests", independent=True)
-    pieces = Dataset((run, tests)).segments(6.0)
-    assert pieces.names == ("run_1", "run_2", "run_3", "tests")
-    np.testing.assert_array_equal(np.concatenate([one.times for one in pieces][:3]), times)
-    assert [one.n_samples for one in pieces] == [67, 66, 67, 200]

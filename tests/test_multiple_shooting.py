@@ -400,6 +400,12 @@ def test_a_fit_with_derivatives_beyond_numbers_still_answers(
 @pytest.mark.parametrize(
     ("kind", "options", "words"),
     [
+        (
+            MultipleShooting,
+            {"horizon": float("inf")},
+            "horizon is inf. Give seconds above zero, or None",
+        ),
+        (MultipleShooting, {"horizon": "10"}, "horizon is '10'"),
         (MultipleShooting, {"disturbances": None}, "disturbances is None. Choose auto, none, all"),
         (MultipleShooting, {"disturbances": (1,)}, r"disturbances is \(1,\)"),
         (

@@ -448,7 +448,7 @@ def test_what_was_told_in_extras_is_typed_now(tmp_path: Path) -> None:
     assert (found.signal, found.kind, found.size) == ("psi", "late", 0.4)
     assert [one.effect for one in test.actuator_starts] == ["rudder"]
     assert (fit.captive.relative, fit.captive.in_noise) == ({"Y": 0.02}, {"Y": 1.1})
-    assert fit.tests_scatter
+    assert (fit.tests_scatter, fit.horizon, fit.n_windows) == (True, 10.0, 12)
     assert fit.extras == {"history": (1.0, 2.0)}
     assert "3 of 900 samples of psi excluded" in fit.report()
     fit.save(tmp_path / "again.json")

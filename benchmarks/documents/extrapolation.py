@@ -14,7 +14,7 @@ from problems.kvlcc2.captive import captive_tests
 from problems.kvlcc2.manoeuvring import MMG
 from problems.kvlcc2.mavmm import MAVMM, wake
 from problems.kvlcc2.missing import manoeuvring_effects
-from problems.kvlcc2.structures import HORIZONS, REGRESSION, SIDES, Ahead, circles, weighed
+from problems.kvlcc2.structures import HORIZONS, REGRESSION, SIDES, ahead, circles, weighed
 
 # 35 degree circles of a third basin, from their positions, in lengths: starboard, port.
 YARDSTICK = {
@@ -22,7 +22,7 @@ YARDSTICK = {
     "tactical_diameter": (3.33, 3.08),
     "steady_diameter": (2.62, 2.51),
 }
-AHEAD = (4.0, 10.0, 40.0)  # s
+AHEAD = (0.5, 2.0, 10.0, 40.0)  # s
 THREE = ("helm_zero", "rudder_lift_shape", "propeller_wake_by_drift")
 
 
@@ -44,7 +44,7 @@ def _zigzags() -> Dataset:
 def _mechanical(runs: Dataset) -> Fit:
     """The MMG model with three effects, fitted ten seconds ahead: where its searches begin."""
     effects = {effect.name: effect for effect in manoeuvring_effects()}
-    return Ahead(HORIZONS[0]).fit(MMG + [effects[name] for name in THREE], runs)
+    return ahead(HORIZONS[0]).fit(MMG + [effects[name] for name in THREE], runs)
 
 
 def horizons() -> Numbers:
@@ -55,7 +55,7 @@ def horizons() -> Numbers:
     found: dict[str, dict[str, object]] = {}
     for horizon in AHEAD:
         found[f"{horizon:g} s"] = {
-            label: errors(circles(Ahead(horizon).fit(model, runs)))
+            label: errors(circles(ahead(horizon).fit(model, runs)))
             for label, model in (("MAVMM", polynomial), ("MMG", mechanical))
         }
     found["whole runs"] = {"MMG": errors(circles(weighed(1.0).fit(mechanical, runs)))}

@@ -28,7 +28,7 @@ from problems.esso_osaka.manoeuvring import MMG
 from problems.esso_osaka.mavmm import MAVMM
 from problems.esso_osaka.missing import WIND
 from problems.esso_osaka.particulars import LENGTH
-from problems.kvlcc2.structures import HORIZON, HORIZONS, REGRESSION, SCORED, Ahead, variants
+from problems.kvlcc2.structures import HORIZON, HORIZONS, REGRESSION, SCORED, ahead, variants
 
 QUANTITIES = ("advance", "transfer", "tactical_diameter")
 SETTLED = 30.0  # s for which an order must stand to be the turn's
@@ -132,10 +132,10 @@ def reach() -> dict[str, dict[str, dict[str, float]]]:
     sets = {"zigzags": zigzags, "zigzags and turns": zigzags + circles, "turns": circles}
     families = (
         ("MAVMM, one step", MAVMM, REGRESSION),
-        ("MAVMM, 10 s ahead", MAVMM, Ahead(HORIZONS[0])),
-        ("MAVMM, 40 s ahead", MAVMM, Ahead(HORIZONS[1])),
+        ("MAVMM, 10 s ahead", MAVMM, ahead(HORIZONS[0])),
+        ("MAVMM, 40 s ahead", MAVMM, ahead(HORIZONS[1])),
         ("MAVMM, whole runs", MAVMM, whole),
-        ("MMG, 10 s ahead", MMG + WIND, Ahead(HORIZONS[0])),
+        ("MMG, 10 s ahead", MMG + WIND, ahead(HORIZONS[0])),
         ("MMG, whole runs", MMG + WIND, whole),
     )
     found: dict[str, dict[str, dict[str, float]]] = {}

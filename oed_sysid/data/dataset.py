@@ -143,15 +143,6 @@ class Dataset:
         parts = sorted(record.content_hash for record in self.records)
         return hashlib.sha256(" ".join(parts).encode()).hexdigest()
 
-    def segments(self, duration: float) -> Dataset:
-        """Every record cut into equal pieces that last as nearly ``duration`` (s) as possible.
-
-        A fit of pieces has to be right so far ahead, each from a start state of its own;
-        independent tests stay whole.
-        """
-        cut = ((one,) if one.independent else one.segments(duration) for one in self.records)
-        return Dataset(tuple(piece for pieces in cut for piece in pieces))
-
     def split(self, test: str | Iterable[str]) -> tuple[Dataset, Dataset]:
         """Divide into the records to learn from and those to judge with.
 

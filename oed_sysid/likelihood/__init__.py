@@ -19,7 +19,7 @@ module                          subject
 =============================== ===========================================================
 ``unknowns``                    layout, bounds, priors, scales
 ``start_guess``                 where to begin: measurements, kinematics
-``windows``                     windows with free start states: globalisation, forecasts
+``windows``                     windows with free start states: globalisation, horizons
 ``shooting``                    white sensors: nodes, condensed derivatives, losses
 ``captive``                     forces measured at given motion, in the same likelihood
 ``filtered``, ``random_forces`` process noise and autocorrelated sensors: filter, levels

@@ -34,6 +34,12 @@ Where a peak is clear, errors are those of the sandwich :math:`H^{-1} B H^{-1}`,
 the autocovariances of the innovations over several periods
 (:func:`~oed_sysid.likelihood.information.coloured_score_covariance`), and never below
 :math:`H^{-1}`.
+
+Scores of windows (:mod:`oed_sysid.likelihood.windows`) are not independent where residuals are
+coloured: ``B`` is then their covariance, neighbours within a tenth of the record included (Newey &
+West 1987, Econometrica 55). Where windows are too few for that, the covariance is :math:`H^{-1}`
+times the residuals' mean square in units of the noise and the samples per independent one.
+Independent tests add to ``B`` what stands above, priors as much as they say.
 """
 
 from __future__ import annotations
@@ -58,7 +64,9 @@ from oed_sysid.likelihood.information import (
 )
 from oed_sysid.likelihood.noise_levels import RARE
 from oed_sysid.likelihood.projection import eliminate, inverse_of, project_out, share_of
-from oed_sysid.likelihood.shooting import Linearisation, Loss, Shooting
+from oed_sysid.likelihood.shooting import Linearisation, Loss, Point, Shooting
+from oed_sysid.likelihood.unknowns import Posed
+from oed_sysid.likelihood.windows import Windows
 
 # Residuals below this share of the noise say nothing about it.
 SILENT = 0.01
@@ -209,18 +217,25 @@ class Reduced:
 
     Parameters
     ----------
-    records : sequence of Record
-    rows : list of ndarray (n_times * n_outputs, n_shared)
-        Whitened and reduced Jacobian by values, per record; zero where nothing was measured.
-    prior_rows : list of ndarray (n_rows, n_shared)
-        What priors add.
+    problem : Posed
+    unknowns : ndarray (n_unknowns,)
+        The optimum.
+    jacobians : sequence of ndarray (n_times, n_outputs, n_own + n_free)
+        Derivatives of the model's outputs by the unknowns of a record, in standard deviations of
+        the errors, zero where nothing was measured.
     errors : sequence of ndarray (n_times, n_outputs)
-        In standard deviations, as the loss lets them count.
+        In that unit, as the loss lets them count.
     gain : ndarray (n_outputs,)
         Slope of the errors as they count: 1 for least squares, less for robust losses.
 
     Attributes
     ----------
+    rows : list of ndarray (n_times * n_outputs, n_shared)
+        Whitened and reduced Jacobian, per record; zero where nothing was measured.
+    prior_rows : list of ndarray (n_rows, n_shared)
+        What priors add.
+    pull : ndarray (n_shared,)
+        Score of the priors.
     told : Scores
     information : Information
         Of the shared parameters, as if errors were white.
@@ -230,19 +245,39 @@ class Reduced:
 
     def __init__(
         self,
-        records: Sequence[Record],
-        rows: list[np.ndarray],
-        prior_rows: list[np.ndarray],
+        problem: Posed,
+        unknowns: np.ndarray,
+        jacobians: Sequence[np.ndarray],
         errors: Sequence[np.ndarray],
         gain: np.ndarray,
     ) -> None:
-        self.rows, self.prior_rows = rows, prior_rows
+        self.problem = problem
+        layout, limits = problem.layout, problem.limits
+        n_shared, keep = len(layout.shared), layout.n_own + layout.shared
+        # Derivatives by values, of parameters whose logarithm is unknown too.
+        self._slopes = layout.shared_values(unknowns)[1]
+        weight = np.sqrt(limits.prior_weight)
+        away = weight * (limits.prior_mean - unknowns)
+        shared = np.diag(weight[:n_shared] / self._slopes)
+        self.rows, self.prior_rows, self.pull = [], [shared], shared @ away[:n_shared]
+        for index, jacobian in enumerate(jacobians):
+            flat = (jacobian * np.sqrt(gain)[:, None]).reshape(-1, jacobian.shape[2])
+            columns = layout.record_columns(index)
+            # What is held explains nothing away.
+            drop = layout.own[~limits.held[columns[layout.own]]]
+            # Priors are rows like measurements; the shared parameters do not enter them.
+            inner = np.vstack([flat[:, drop], np.diag(weight[columns[drop]])])
+            outer = np.vstack([flat[:, keep] / self._slopes, np.zeros((len(drop), n_shared))])
+            reduced = project_out(inner, outer)
+            self.rows.append(reduced[: len(flat)])
+            self.prior_rows.append(reduced[len(flat) :])
+            self.pull = self.pull + self.prior_rows[-1].T @ away[columns[drop]]
         # Errors count once with the slope of a robust loss, not twice.
         apart = [
-            one.reshape(*error.shape, one.shape[1]) / np.sqrt(gain)[:, None]
-            for one, error in zip(rows, errors, strict=True)
+            rows.reshape(*error.shape, n_shared) / np.sqrt(gain)[:, None]
+            for rows, error in zip(self.rows, errors, strict=True)
         ]
-        self.told = Scores(records, apart, list(errors))
+        self.told = Scores(problem.records, apart, list(errors))
 
     @property
     def prior(self) -> np.ndarray:
@@ -269,12 +304,12 @@ class Reduced:
         scores = [np.einsum("tip,ti->p", own, np.nan_to_num(errors)) for own, errors in pairs]
         matrices = [rows.T @ rows for rows in self.rows]
         return sources_of(
-            matrices, scores, self.prior, self.told.records, gradient=self.gradient(scores)
+            matrices, scores, self.prior, self.problem.records, gradient=self.gradient(scores)
         )
 
     def gradient(self, scores: Sequence[np.ndarray]) -> np.ndarray:
         """Slope of the whole, ``(n_shared,)``, with those of the records; zero at an optimum."""
-        return np.zeros(len(self.prior))
+        return np.zeros(len(self._slopes))
 
 
 class ReducedProblem(Reduced):
@@ -292,30 +327,15 @@ class ReducedProblem(Reduced):
 
     def __init__(self, shooting: Shooting, lin: Linearisation, unknowns: np.ndarray) -> None:
         self.shooting = shooting
-        layout, limits = shooting.layout, shooting.limits
-        n_shared, keep = len(layout.shared), layout.n_own + layout.shared
         residuals = [residual / shooting.sigma for residual in lin.residuals]
-        scores, gain = _scores(residuals, shooting.loss)
-        # Derivatives by values, of parameters whose logarithm is unknown too.
-        slopes, weight = layout.shared_values(unknowns)[1], np.sqrt(limits.prior_weight)
-        found, prior_rows = [], [np.diag(weight[:n_shared] / slopes)]
-        for index, residual in enumerate(residuals):
-            size = np.isfinite(residual) * np.sqrt(gain) / shooting.sigma
-            jacobian = lin.jacobians[index] * size[:, :, None]
-            flat = jacobian.reshape(-1, jacobian.shape[2])
-            columns = layout.record_columns(index)
-            # What is held explains nothing away.
-            drop = layout.own[~limits.held[columns[layout.own]]]
-            # Priors are rows like measurements; the shared parameters do not enter them.
-            inner = np.vstack([flat[:, drop], np.diag(weight[columns[drop]])])
-            outer = np.vstack([flat[:, keep] / slopes, np.zeros((len(drop), n_shared))])
-            reduced = project_out(inner, outer)
-            found.append(reduced[: len(flat)])
-            prior_rows.append(reduced[len(flat) :])
-        super().__init__(shooting.records, found, prior_rows, scores, gain)
-        scales = limits.scale[:n_shared] * slopes
+        jacobians = [
+            jacobian * (np.isfinite(residual) / shooting.sigma)[:, :, None]
+            for jacobian, residual in zip(lin.jacobians, residuals, strict=True)
+        ]
+        super().__init__(shooting, unknowns, jacobians, *_scores(residuals, shooting.loss))
+        scales = shooting.limits.scale[: len(self._slopes)] * self._slopes
         jacobian = np.vstack([*self.rows, *self.prior_rows])
-        self.information = Information.from_jacobian(layout.shared_names, jacobian, scales)
+        self.information = Information.from_jacobian(shooting.layout.shared_names, jacobian, scales)
 
     def errors(self, coloured: str, *, weighed: bool) -> Errors:
         """Errors of the shared parameters; of white residuals where they are not ``weighed``.
@@ -511,13 +531,53 @@ def _is_regular(times: np.ndarray) -> bool:
     return len(steps) > 1 and bool(np.ptp(steps) < 0.1 * np.median(steps))
 
 
+def onto_shared(
+    problem: Posed, unknowns: np.ndarray, index: int, matrix: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    r"""Combinations that carry scores of one record to the shared parameters, by their values.
+
+    With :math:`M` the information of a record, :math:`s` its shared and :math:`o` its own unknowns,
+    :math:`T = D^{-1} [I, -M_{so} M_{oo}^{-1}]`, so that :math:`T M T'` is the information once the
+    own unknowns are estimated along.
+
+    Parameters
+    ----------
+    problem : Posed
+    unknowns : ndarray (n_unknowns,)
+    index : int
+        Of the record.
+    matrix : ndarray (n, n)
+        Of its start states and free parameters, or of the latter alone; what is known of its own
+        unknowns is added to it in place.
+
+    Returns
+    -------
+    onto : ndarray (n_shared, n)
+    own : ndarray of int
+        Positions of the own unknowns that are not held.
+    """
+    layout, limits = problem.layout, problem.limits
+    first = layout.n_own + len(layout.free_names) - len(matrix)
+    columns = layout.record_columns(index)[first:]
+    shared = layout.n_own + layout.shared - first
+    own = np.setdiff1d(np.arange(len(matrix)), shared)
+    own = own[~limits.held[columns[own]]]
+    matrix[own, own] += limits.prior_weight[columns[own]]
+    onto = np.zeros((len(shared), len(matrix)))
+    onto[:, shared] = np.eye(len(shared))
+    # What the own unknowns take of a score of the shared ones.
+    onto[:, own] = -share_of(matrix, shared, own)
+    return onto / layout.shared_values(unknowns)[1][:, None], own
+
+
 class ReducedFilter(Reduced):
     r"""Innovations of a filter.
 
     With the information ``H`` of all unknowns, start states, per-record parameters and levels ``o``
     are eliminated from that of the shared parameters ``p``,
-    :math:`H_{pp} - H_{po} H_{oo}^{-1} H_{op}`, and from the derivatives of innovations, which are
-    those at frozen gain.
+    :math:`H_{pp} - H_{po} H_{oo}^{-1} H_{op}`. Derivatives of innovations are those at frozen gain;
+    in them levels of the noise are taken as they are, as mean and variance of an innovation are
+    estimated independently of one another.
 
     Parameters
     ----------
@@ -535,48 +595,35 @@ class ReducedFilter(Reduced):
     """
 
     def __init__(self, problem: Filtered, unknowns: np.ndarray, matrix: np.ndarray) -> None:
-        self.problem, self.unknowns = problem, unknowns
+        self.filtered, self.unknowns = problem, unknowns
         layout, limits = problem.layout, problem.limits
         self._matrix = matrix + np.diag(limits.prior_weight)
         shared = np.arange(len(layout.shared))
-        slopes = layout.shared_values(unknowns)[1]
-        others = problem.open_unknowns(len(shared))
-        # How everything follows the values of the shared parameters.
-        onto = np.zeros((len(matrix), len(shared)))
-        onto[shared, shared] = 1.0
-        onto[others] = -share_of(self._matrix, shared, others).T
-        reduced = onto.T @ self._matrix[:, shared]
-        scales = limits.scale[shared] * slopes
-        self.information = Information.from_matrix(
-            layout.shared_names, reduced / slopes[:, None] / slopes, scales
-        )
-        onto /= slopes
-        self._joint = problem.knowledge.information / slopes[:, None] / slopes
-        self._pull = onto.T @ (limits.prior_weight * (limits.prior_mean - unknowns))
         self.passes = problem.passes(unknowns, rows=True)
         self.std = [np.sqrt(np.maximum(part.variances, 1e-300)) for part in self.passes]
-        rows, errors = [], []
+        jacobians, errors = [], []
         for index, part in enumerate(self.passes):
             assert part.rows is not None
-            columns = layout.record_columns(index)
             size = layout.record_slopes(unknowns, index)
-            # An innovation falls where the output rises; a gap says nothing.
             seen = np.isfinite(part.innovations)[..., None]
-            jacobian = np.where(seen, -part.rows[..., : len(columns)], 0.0)
-            rows.append(jacobian.reshape(-1, len(columns)) @ (size[:, None] * onto[columns]))
+            # An innovation falls where the output rises; a gap says nothing.
+            jacobians.append(np.where(seen, -part.rows[..., : len(size)] * size, 0.0))
             errors.append(part.innovations / self.std[index])
-        prior_rows = [np.sqrt(limits.prior_weight)[:, None] * onto]
-        gain = np.ones(len(problem.model.outputs))
-        super().__init__(problem.records, rows, prior_rows, errors, gain)
+        super().__init__(problem, unknowns, jacobians, errors, np.ones(len(problem.model.outputs)))
+        reduced = eliminate(self._matrix, shared, problem.open_unknowns(len(shared)))
+        by_values = reduced / self._slopes[:, None] / self._slopes
+        scales = limits.scale[shared] * self._slopes
+        self.information = Information.from_matrix(layout.shared_names, by_values, scales)
 
     @property
     def prior(self) -> np.ndarray:
         """Information of what is known before, ``(n_shared, n_shared)``."""
-        return super().prior + self._joint
+        joint = self.filtered.knowledge.information / self._slopes[:, None] / self._slopes
+        return super().prior + joint
 
     def gradient(self, scores: Sequence[np.ndarray]) -> np.ndarray:
         """Slope of the whole; scores are approximate, so that it is not zero."""
-        return np.asarray(self._pull + np.sum(scores, axis=0))
+        return np.asarray(self.pull + np.sum(scores, axis=0))
 
     @cached_property
     def peaks(self) -> list[Peak]:
@@ -585,7 +632,7 @@ class ReducedFilter(Reduced):
             np.full(one.shape, np.nan) if record.independent else one
             for record, one in zip(self.told.records, self.told.errors, strict=True)
         ]
-        return clear_peaks(whitened, self.told.records, self.problem.model.output_names)
+        return clear_peaks(whitened, self.told.records, self.filtered.model.output_names)
 
     def errors(self, coloured: str) -> Errors:
         """Errors of the shared parameters.
@@ -615,8 +662,8 @@ class ReducedFilter(Reduced):
     @property
     def level_errors(self) -> dict[str, float]:
         """Standard errors of levels, relative, and of the logarithms of times."""
-        levels, block = self.problem.levels, self.problem.layout.levels
-        others = self.problem.open_unknowns(0)
+        levels, block = self.filtered.levels, self.filtered.layout.levels
+        others = self.filtered.open_unknowns(0)
         where = np.arange(block.start, block.stop)
         reduced = eliminate(self._matrix, where, others[others < block.start])
         variances = np.maximum(np.diag(inverse_of(reduced)), 0.0)
@@ -628,3 +675,98 @@ class ReducedFilter(Reduced):
                 error = 0.5 * error / value if value > 0 else np.inf
             found[name] = float(error)
         return found
+
+
+# Share of a record's windows over which scores are taken to be related, and windows per parameter
+# that a covariance from their scores needs.
+RELATED, ENOUGH = 0.1, 4
+
+
+def errors_of_windows(problem: Windows, point: Point, coloured: str) -> Errors:
+    """Errors of the shared parameters from windows of a horizon.
+
+    Unless they are ``"never"`` to hold the colour of residuals, they are those at the head of this
+    module.
+    """
+    shooting, unknowns = problem.shooting, point.unknowns
+    layout, limits = shooting.layout, shooting.limits
+    n_shared = len(layout.shared)
+    slopes = layout.shared_values(unknowns)[1]
+    prior = np.diag(limits.prior_weight[:n_shared] / slopes**2)
+    told = _told_by_records(problem, point)
+    tests = np.array([record.independent for record in shooting.records])
+    matrices = np.array([matrix for matrix, _ in told])
+    whole = prior + matrices.sum(axis=0)
+    information = Information.from_matrix(
+        layout.shared_names, whole, limits.scale[:n_shared] * slopes
+    )
+    sums = [rows.sum(axis=0) for _, rows in told]
+    sources = sources_of(list(matrices), sums, prior, shooting.records)
+    covariance = information.covariance
+    use = coloured != "never" and problem.n_windows > 0
+    if coloured == "never" or not n_shared:
+        return Errors(information, covariance, sources, use)
+    alone = _linearised_tests(shooting, np.flatnonzero(tests).tolist(), unknowns)
+    scattered = alone is not None and (coloured == "always" or alone.stray(covariance))
+    scores = [told[i][1] for i in np.flatnonzero(~tests)]
+    white = matrices[~tests].sum(axis=0)
+    # From the residuals where windows are few.
+    few = problem.n_windows < ENOUGH * n_shared
+    middle = prior + (_inflation(problem, point) * white if few else sum(map(_summed, scores)))
+    if alone is not None:
+        middle += alone.of_tests(covariance, scattered=scattered)
+    return Errors(information, sandwich(covariance, middle), sources, use, scattered)
+
+
+def _told_by_records(problem: Windows, point: Point) -> list[tuple[np.ndarray, np.ndarray]]:
+    """What every record says of the shared parameters, its own ones estimated along.
+
+    Information ``(n_shared, n_shared)``, and scores of the windows in their order,
+    ``(n_windows, n_shared)``.
+    """
+    shooting, n_free = problem.shooting, len(problem.shooting.layout.free_names)
+    matrices = np.zeros((len(shooting.records), n_free, n_free))
+    scores: list[list[np.ndarray]] = [[] for _ in shooting.records]
+    for part, matrix, own in problem.told(point):
+        matrices[part.record] += matrix
+        scores[part.record].append(np.column_stack([part.starts[part.counted], own]))
+    told = []
+    for index, matrix in enumerate(matrices):
+        onto, _ = onto_shared(shooting, point.unknowns, index, matrix)
+        rows = np.vstack(scores[index])
+        rows = rows[np.argsort(rows[:, 0]), 1:]
+        told.append((onto @ matrix @ onto.T, rows @ onto.T))
+    return told
+
+
+def _linearised_tests(shooting: Shooting, tests: list[int], unknowns: np.ndarray) -> Scores | None:
+    """Jacobian and residuals of independent tests; None without any."""
+    if not tests:
+        return None
+    alone, own = shooting.part(tests, unknowns)
+    found = alone.linearise(alone.continuous(own))
+    assert found is not None
+    return ReducedProblem(alone, found, own).told
+
+
+def _summed(rows: np.ndarray) -> np.ndarray:
+    """Covariance of the sum of a record's scores ``(n_windows, n_shared)``, neighbours related."""
+    middle = rows.T @ rows
+    reach = int(RELATED * len(rows)) + 1
+    for lag in range(1, min(reach, len(rows) - 1) + 1):
+        # Weights of Bartlett: the sum stays positive semidefinite.
+        related = rows[lag:].T @ rows[:-lag]
+        middle += (1 - lag / (reach + 1)) * (related + related.T)
+    return np.asarray(middle)
+
+
+def _inflation(problem: Windows, point: Point) -> float:
+    """Mean square of the residuals in units of the noise, times samples per independent one."""
+    shooting = problem.shooting
+    series = [
+        residual / shooting.sigma
+        for record, residual in zip(shooting.records, problem.residuals(point), strict=True)
+        if not record.independent
+    ]
+    ratios = [np.mean(seen**2) * len(seen) / some for seen, some in counted_samples(series, 10)]
+    return max(float(np.mean(ratios)) if ratios else 0.0, 1.0)

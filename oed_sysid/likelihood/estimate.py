@@ -261,6 +261,8 @@ class Estimate:
     process_noise: ProcessNoiseTest | None = None
     tests_scatter: bool = False
     captive: CaptiveErrors | None = None
+    horizon: float | None = None
+    n_windows: int = 0
     attempts: Attempts | None = None
     posterior: Posterior | None = None
     purpose: str = "derivatives"

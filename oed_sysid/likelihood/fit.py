@@ -114,6 +114,9 @@ class Fit(estimate.Estimate):
         standard errors is from their residuals.
     captive : CaptiveErrors, or None
         Errors of captive tests that were fitted along.
+    horizon : float, or None
+        Seconds ahead that the fit predicts, in ``n_windows`` windows; None for whole records.
+    n_windows : int
     attempts : Attempts, or None
         Where all starts ended; None where there was one.
     posterior : Posterior, or None
@@ -140,12 +143,8 @@ class Fit(estimate.Estimate):
         """Build a fit of the fields of a file; of version 0.1 some were told in ``extras``."""
         extras = dict(content.get("extras", {}))
         told: dict[str, Any] = {}
-        for name in {"nominal", "excluded", "tests_scatter"} & {*extras}:
-            told[name] = extras.pop(name)
-        # Of a fit of windows of a horizon, which are segments of records now.
-        for gone in ("horizon", "n_windows", "windows"):
-            extras.pop(gone, None)
-            content.pop(gone, None)
+        for name in {"nominal", "excluded", "horizon", "tests_scatter", "windows"} & {*extras}:
+            told["n_windows" if name == "windows" else name] = extras.pop(name)
         if extras.keys() & {"disturbance_test", "process_noise_failed"}:
             delay = extras.pop("white_delay", None)
             told["process_noise"] = estimate.ProcessNoiseTest(

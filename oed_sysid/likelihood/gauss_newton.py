@@ -40,7 +40,7 @@ What is minimised says only how a point is evaluated (:class:`Iterate`) and how 
 - :func:`restricted`, the same with what parameters have followed of the noise (:func:`absorbed`):
   the noise is estimated by it, and noise models are compared by it;
 - windows with start states of their own (:class:`~oed_sysid.likelihood.windows.Windows`), for the
-  globalisation phase and for forecasts.
+  globalisation phase and for predictions a horizon ahead.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ def shown_noise(fit: Estimate) -> np.ndarray:
 def step_change(fit: Estimate, finer: int = 4) -> StepChange:
     """Change of the outputs with a step that is ``finer`` times as fine.
 
-    With disturbance forces the model alone may drift away; there
+    With disturbance forces, or where windows are predicted, the model alone may drift away; there
     pieces of twenty samples begin at the states of the simulation. Of a model that remembers
     commands for steps of one length nothing can be said.
     """
@@ -106,7 +106,8 @@ def _both_steps(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Outputs of one record with both steps, whole or in pieces."""
     record, states = fit.dataset[index], fit.states[index]
-    if not fit.noise.has_forces or states.shape[1] != coarse.n_full:
+    whole = not fit.noise.has_forces and fit.horizon is None
+    if whole or states.shape[1] != coarse.n_full:
         return fit.predictions[index], outputs_of(fit, index, record.inputs, runner=fine)
     values = values_of(fit, index)
     last = int(np.isfinite(states).all(axis=1).cumprod().sum())

@@ -57,7 +57,7 @@ from oed_sysid.likelihood.smoother import outlying
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.likelihood.summary import Procedure, summarise, summarise_filtered
 from oed_sysid.likelihood.unknowns import KnownStarts, StartState
-from oed_sysid.likelihood.windows import wide_start
+from oed_sysid.likelihood.windows import check_horizon, solve_windows, wide_start
 from oed_sysid.physics.base import RandomProcess
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.unknown import random_effects
@@ -102,7 +102,8 @@ class MultipleShooting:
         ``"auto"`` is the square, and leaves out samples that clearly are spikes at the fit
         without process noise, before process noise is tested for (NaN in the fit's own data,
     counted in ``fit.excluded`` and in the report); ``"square"`` keeps them;
-        ``"huber"`` and ``"student"`` let them count less.
+        ``"huber"`` and ``"student"`` let them count less. With a ``horizon``, ``"auto"`` is
+        the square.
     start : str
         ``"auto"``, ``"near"`` (trust the start values) or ``"wide"``.
     coloured : str
@@ -121,6 +122,11 @@ class MultipleShooting:
         for and taken in their place (:mod:`oed_sysid.likelihood.random_forces`);
         ``Sea(period=8.0)`` declares one, of which what is left out is estimated. See
         :mod:`oed_sysid.likelihood.noise_model`.
+    horizon : float or None
+        How far ahead the fit has to be right, s: records are predicted in windows of this
+        length, each from a start state of its own (:mod:`oed_sysid.likelihood.windows`). ``None``
+        predicts whole records. A short horizon keeps misfit of structure out of the
+        derivatives; disturbance forces are then not looked for.
 
     Examples
     --------
@@ -136,6 +142,7 @@ class MultipleShooting:
     progress: Callable[[Progress], None] | None = None
     solver: Solver = Solver()  # noqa: RUF009 (frozen)
     disturbances: Disturbances = "auto"
+    horizon: float | None = None
 
     def __post_init__(self) -> None:
         check_choice("start", self.start, ("auto", "near", "wide"))
@@ -148,12 +155,29 @@ class MultipleShooting:
         if not isinstance(self.solver, Solver):
             raise ModelError(f"solver is {self.solver!r}. Write solver=Solver({self.solver!r}).")
         loss_by_name(self.loss)
-        forces = self.disturbances not in ("auto", "none")
-        if forces and self._white_only:
-            raise ModelError(
+        if self.horizon is not None:
+            advice = "Give seconds above zero, or None, which predicts whole records."
+            check_positive("horizon", self.horizon, advice)
+        forces, ahead = self.disturbances not in ("auto", "none"), self.horizon is not None
+        program = self.solver.method == "ipopt"
+        for clash, words in (
+            (
+                ahead and forces,
+                f"disturbances={self.disturbances!r} needs whole records. Drop it or the horizon.",
+            ),
+            (
+                ahead and any((program, self._white_only, self.interval is not None)),
+                "A horizon goes with Solver('gauss-newton'), loss='auto' or 'square' and "
+                "interval=None: its windows are the intervals.",
+            ),
+            (
+                forces and self._white_only,
                 f"disturbances={self.disturbances!r} goes with loss='square' or 'auto'. Drop the "
-                "other setting, or take disturbances='none'."
-            )
+                "other setting, or take disturbances='none'.",
+            ),
+        ):
+            if clash:
+                raise ModelError(words)
 
     @property
     def _white_only(self) -> bool:
@@ -163,7 +187,7 @@ class MultipleShooting:
     @property
     def _leaves_out(self) -> bool:
         """Whether samples that stand out are left out."""
-        return self.loss == "auto"
+        return self.loss == "auto" and self.horizon is None
 
     @property
     def name(self) -> str:
@@ -171,7 +195,8 @@ class MultipleShooting:
         interval = "" if self.interval is None else f", interval {self.interval:g} s"
         loss = "" if self.loss in ("auto", "square") else f", {self.loss} loss"
         solver = ", IPOPT" if self.solver.method == "ipopt" else ""
-        return f"multiple shooting{interval}{loss}{solver}"
+        horizon = "" if self.horizon is None else f", {self.horizon:g} s ahead"
+        return f"multiple shooting{interval}{loss}{solver}{horizon}"
 
     def fit(
         self,
@@ -304,6 +329,8 @@ class MultipleShooting:
             known_starts=given.known_starts,
         )
         shooting.check_enough_samples()
+        if self.horizon is not None:
+            check_horizon(shooting, self.horizon)
         how = Procedure(self.name, estimated, 0, began, self.coloured)
         return _Task(shooting, how)
 
@@ -311,7 +338,7 @@ class MultipleShooting:
         """Whether process noise is to be tested for or estimated."""
         asked = self.disturbances != "none" or bool(random_effects(model.effects))
         series = not all(record.independent for record in dataset)
-        return asked and series and not self._white_only
+        return asked and series and self.horizon is None and not self._white_only
 
     def _tests(self, model: Model) -> bool:
         """Whether the records decide if process noise acts, and nobody has asked for it."""
@@ -504,6 +531,8 @@ class MultipleShooting:
     def _minimiser(self, shooting: Shooting) -> Minimiser:
         """What turns a problem and a point into a solution."""
         minimise: Minimiser = solve
+        if self.horizon is not None:
+            minimise = partial(solve_windows, horizon=self.horizon)
         if self.solver.method == "ipopt":
             minimise = partial(solve_within, constraints=self.solver.constraints)
         return partial(
@@ -515,7 +544,7 @@ class MultipleShooting:
 
     def _solve(self, shooting: Shooting, point: Point, minimise: Minimiser) -> Solution:
         """Iterate from near, from far, or from both, and return the better end."""
-        if self.start == "near":
+        if self.start == "near" or self.horizon is not None:
             return minimise(shooting, point)
         ends, begin = list[Solution](), shooting.misfit(point)
         if self.start != "wide":

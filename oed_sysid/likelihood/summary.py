@@ -12,6 +12,7 @@ from oed_sysid.likelihood.covariance import (
     Errors,
     ReducedFilter,
     ReducedProblem,
+    errors_of_windows,
 )
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.filtered import Filtered
@@ -130,12 +131,28 @@ def summarise(solution: Solution, how: Procedure, *, weighed: bool = True) -> Fi
     shooting, unknowns = solution.problem, solution.point.unknowns
     if solution.reason == "diverged":
         return _failed(shooting, how)
+    if solution.problem is not shooting:
+        return _of_windows(solution, how)
     errors = ReducedProblem(shooting, solution.linearisation, unknowns).errors(
         how.coloured, weighed=weighed
     )
     runs = [shooting.run(unknowns, index) for index in range(len(shooting.records))]
     paths = [(run.outputs, run.states) for run in runs]
     return how.fit(shooting, unknowns, (solution.reason, solution.cost), errors, paths)
+
+
+def _of_windows(solution: Solution, how: Procedure) -> Fit:
+    """The result of windows of a horizon; predictions and residuals are those of these."""
+    problem, point = solution.problem, solution.point
+    paths, n_own = problem.paths(point), problem.shooting.layout.n_own
+    errors = errors_of_windows(problem, point, how.coloured)
+    end = solution.reason, solution.cost
+    return replace(
+        how.fit(problem.shooting, point.unknowns, end, errors, paths),
+        initial_states=tuple(states[0, :n_own].copy() for _, states in paths),
+        horizon=problem.horizon,
+        n_windows=problem.n_windows,
+    )
 
 
 def _failed(shooting: Shooting, how: Procedure) -> Fit:

@@ -1,4 +1,4 @@
-r"""Records in windows whose start states are free: globalisation, and forecasts.
+r"""Records in windows whose start states are free: globalisation, and predictions ahead.
 
 With the windows :math:`w` of all records, their start states :math:`z_w` about guesses from the
 measurements :math:`\hat z_w` with weights :math:`\Omega`, and the outputs :math:`h` of the
@@ -17,20 +17,33 @@ begin from the start states that are given.
 Far from the truth, trajectories over a whole record explode and their derivatives are useless. Over
 a second or so, from measured states, they do not. Dropping continuity altogether gives a problem
 that is nearly linear in the parameters; its solution starts the real one (:func:`wide_start`).
+
+How far ahead a fit has to be right is a horizon :math:`H` (:func:`solve_windows`). Windows of that
+length overlap by one sample, so that every transition from a sample to the next belongs to exactly
+one, and begin from states of their own, :math:`\Omega = 0`. Over one step this is a regression of
+the motion on the state before; over the whole record it is maximum likelihood with white noise.
+Where the structure is wrong a long horizon lets its misfit into the derivatives, a short one weighs
+noise in the states more. Errors are those of :mod:`oed_sysid.likelihood.covariance`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import copy
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
+from oed_sysid.data.record import Record
+from oed_sysid.errors import DataError, ModelError
 from oed_sysid.likelihood.gauss_newton import (
     Convergence,
     Descent,
     Equations,
     Iterate,
+    Progress,
+    Solution,
     StepControl,
     nowhere,
 )
@@ -93,6 +106,8 @@ class Windows:
         Of the distance of start states from their guesses.
     unknowns : ndarray (n_unknowns,), optional
         Where to begin; by default at the start values.
+    horizon : float, optional
+        Length of a window, s, where that is what is asked for.
     """
 
     def __init__(
@@ -101,8 +116,9 @@ class Windows:
         parts: Sequence[Part],
         weight: np.ndarray,
         unknowns: np.ndarray | None = None,
+        horizon: float | None = None,
     ) -> None:
-        self.shooting, self.weight = shooting, weight
+        self.shooting, self.weight, self.horizon = shooting, weight, horizon
         self.limits = shooting.limits
         self.windows = tuple(part for part in parts if part.counted.any())
         begin = shooting.start_unknowns() if unknowns is None else unknowns
@@ -124,6 +140,40 @@ class Windows:
         std = np.where(np.isfinite(shooting.guess_std), shooting.guess_std, np.inf)
         weight = np.minimum(std, VAGUE * shooting.state_scale) ** -2.0
         return cls(shooting, parts, weight, unknowns)
+
+    @classmethod
+    def overlapping(
+        cls, shooting: Shooting, horizon: float, unknowns: np.ndarray | None = None
+    ) -> Windows:
+        """Windows of a horizon, s, that overlap by one sample; own states are free.
+
+        Every transition from a sample to the next belongs to exactly one.
+        """
+        parts = [p for i, record in enumerate(shooting.records) for p in _cut(i, record, horizon)]
+        weight = (VAGUE * shooting.state_scale) ** -2.0
+        weight[shooting.layout.n_own :] = HELD
+        weights = np.tile(weight, (len(shooting.records), 1))
+        return cls(shooting, parts, weights, unknowns, horizon)
+
+    def rated(self, shooting: Shooting) -> Windows:
+        """The same windows where the noise levels are those of another problem."""
+        other = copy.copy(self)
+        other.shooting = shooting
+        return other
+
+    @property
+    def n_windows(self) -> int:
+        """Number of windows of the records that are series in time."""
+        records = self.shooting.records
+        return sum(int(p.counted.sum()) for p in self.windows if not records[p.record].independent)
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of shared parameters and start states that the outputs can tell."""
+        layout = self.shooting.layout
+        # A window of few samples tells no more start states than it has outputs.
+        own = min(layout.n_own, len(self.shooting.sigma))
+        return len(layout.shared) + self.n_windows * own
 
     def at(self, point: Point) -> Iterate:
         """Cost and normal equations of the parameters."""
@@ -169,6 +219,21 @@ class Windows:
         weight = self.weight[part.record]
         return eliminate(gram, away, weight, damping)
 
+    def told(self, point: Point) -> Iterator[tuple[Part, np.ndarray, np.ndarray]]:
+        """Every part, its information about the parameters, and the score of each window."""
+        n_free = len(self.shooting.layout.free_names)
+        for part, at, away in self._away(point):
+            gram = self.products(part, point.unknowns, at)
+            assert gram is not None
+            found = self._eliminated(part, gram, away, 0.0)
+            first = gram.shape[1] - n_free - 1
+            # Score of the parameters less what the start states, estimated along, have taken of
+            # it.
+            cross = gram[:, :first, first:-1]
+            moved = found.solved[:, :first, -1]
+            scores = gram[:, first:-1, -1] - np.einsum("wij,wi->wj", cross, moved)
+            yield part, found.matrix, scores
+
     def products(self, part: Part, unknowns: np.ndarray, at: np.ndarray) -> np.ndarray | None:
         """Products ``[J r]' [J r]`` of the counted windows of a part; None where it diverges.
 
@@ -198,6 +263,33 @@ class Windows:
             wide[:n_full, :-1] = by_unknowns[:, shooting.layout.n_own :]
             gram = wide.T @ gram @ wide
         return gram
+
+    def paths(self, point: Point) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Outputs and states of the windows, put together per record.
+
+        Where two windows meet, the sample is that of the window which it ends.
+        """
+        shooting = self.shooting
+        found = shooting.no_paths()
+        for part, at in zip(self.windows, point.nodes, strict=True):
+            record = shooting.records[part.record]
+            z0, _ = shooting.full_start(point.unknowns, part.record)
+            nodes = z0[None] if record.independent else at
+            run = shooting.kernel.run(
+                record.times, record.inputs, shooting.values(point.unknowns, part.record), nodes,
+                starts=part.starts,
+            )  # fmt: skip
+            outputs, states = found[part.record]
+            stops = np.append(part.starts[1:], record.n_samples)
+            for start, stop in zip(part.starts[part.counted], stops[part.counted], strict=True):
+                rows = slice(start if start == 0 else start + 1, stop)
+                outputs[rows], states[rows] = run.outputs[rows], run.states[rows]
+        return found
+
+    def residuals(self, point: Point) -> list[np.ndarray]:
+        """Measured less predicted ``(n_times, n_outputs)``, per record."""
+        pairs = zip(self.shooting.records, self.paths(point), strict=True)
+        return [record.outputs - outputs for record, (outputs, _) in pairs]
 
     def columns(self, part: Part) -> np.ndarray:
         """Positions of a part's free parameters among all unknowns."""
@@ -251,6 +343,22 @@ def eliminate(
     return Elimination(reduced[:, :-1], reduced[:, -1], solved, gain)
 
 
+def _cut(index: int, record: Record, horizon: float) -> list[Part]:
+    """Windows that overlap by one sample, in two passes over the record."""
+    n = record.n_samples
+    step = n - 1
+    if not record.independent:
+        step = max(1, min(round(horizon / record.sample_time), step))
+    parts = []
+    for parity in (0, 1):
+        begin = np.arange(parity * step, n - 1, 2 * step)
+        # What lies between two windows of a pass is run over.
+        starts = np.unique([0, *begin, *(begin + step + 1)])
+        starts = starts[starts < n].astype(np.intc)
+        parts.append(Part(index, starts, np.isin(starts, begin), n))
+    return parts
+
+
 def climb(shooting: Shooting, unknowns: np.ndarray, n_samples: int) -> np.ndarray:
     """Improve unknowns by windows of ``n_samples`` samples; they stay where these diverge.
 
@@ -291,3 +399,52 @@ def wide_start(shooting: Shooting, point: Point) -> Point:
         if 2 * n_samples <= shortest:
             unknowns = climb(plain, unknowns, n_samples)
     return shooting.start_point(unknowns)
+
+
+def check_horizon(shooting: Shooting, horizon: float) -> None:
+    """Raise an error where a horizon is shorter than one step, or start states are stated."""
+    in_time = [not record.independent for record in shooting.records]
+    series = compress(shooting.records, in_time)
+    longest = max((record.sample_time for record in series), default=0.0)
+    if not horizon >= 0.99 * longest:
+        raise DataError(
+            f"horizon is {horizon:g} s, and a step of the records {longest:g} s. Give at least one "
+            "step; horizon=None predicts whole records."
+        )
+    known = shooting.known_starts
+    if known is not None and np.isfinite(known.std[in_time]).any():
+        raise ModelError(
+            "start_states are those of whole records; windows of a horizon begin from states of "
+            "their own. Drop one of the two."
+        )
+
+
+def solve_windows(
+    shooting: Shooting,
+    point: Point,
+    *,
+    horizon: float,
+    max_iterations: int,
+    tolerance: float,
+    callback: Callable[[Progress], None] | None = None,
+) -> Solution:
+    """Minimise over windows of a horizon.
+
+    Parameters
+    ----------
+    shooting : Shooting
+        The problem.
+    point : Point
+        Where to begin; only its unknowns are used.
+    horizon : float
+        Length of a window, s.
+    max_iterations, tolerance, callback
+        See :func:`oed_sysid.likelihood.gauss_newton.solve`.
+    """
+    problem = Windows.overlapping(shooting, horizon, point.unknowns)
+    begin = problem.at(problem.start)
+    if not np.isfinite(begin.cost):
+        return Solution(begin, 0, "diverged")
+    descent = Descent(begin, Windows.at, Convergence(tolerance), CONTROL)
+    reason = descent.run(max_iterations, callback=callback)
+    return Solution(descent.now, descent.steps + 1, reason)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from oed_sysid import Dataset, Fit, Model, MultipleShooting
 from oed_sysid.baselines import EquationError
@@ -42,20 +42,9 @@ def weighed(factor: float) -> MultipleShooting:
     return MultipleShooting(disturbances="none", noise=levels)
 
 
-@dataclass(frozen=True)
-class Ahead:
-    """Estimator of predictions some seconds ahead: of segments, each from a start of its own."""
-
-    horizon: float
-
-    @property
-    def name(self) -> str:
-        """How far ahead."""
-        return f"multiple shooting, {self.horizon:g} s ahead"
-
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Fit segments of the records."""
-        return weighed(1.0).fit(model, dataset.segments(self.horizon))
+def ahead(horizon: float) -> MultipleShooting:
+    """Estimator of predictions some seconds ahead."""
+    return MultipleShooting(disturbances="none", noise="given", horizon=horizon)
 
 
 def variants(
@@ -77,20 +66,20 @@ def variants(
     """
     full = REGRESSION.fit(full, dataset).model
     mechanical = {
-        label: Ahead(HORIZONS[0]).fit(model, dataset).model for label, model in mechanical.items()
+        label: ahead(HORIZONS[0]).fit(model, dataset).model for label, model in mechanical.items()
     }
     symmetric = without(full, "Y_u_prime", "N_u_prime", "Y_T_prime", "N_T_prime")
     found = []
     for label, model in (("MAVMM", full), ("MAVMM symmetric", symmetric)):
         found.append(Structure(label, model, REGRESSION))
-        found += [Structure(f"{label}, {h:g} s ahead", model, Ahead(h)) for h in HORIZONS]
+        found += [Structure(f"{label}, {h:g} s ahead", model, ahead(h)) for h in HORIZONS]
     for label, dropped in (
         ("MAVMM, rudder outside the propeller slipstream", ("N_deltaT_prime",)),
         ("MAVMM, no loss of speed in yaw", ("Y_ur_prime", "N_ur_prime")),
     ):
         found.append(Structure(label, without(full, *dropped), REGRESSION))
     for label, model in mechanical.items():
-        found += [Structure(f"{label}, {h:g} s ahead", model, Ahead(h)) for h in HORIZONS]
+        found += [Structure(f"{label}, {h:g} s ahead", model, ahead(h)) for h in HORIZONS]
         for factor in (1.0, 4.0, 10.0):
             name = f"{label}, whole runs" + ("" if factor == 1.0 else f", levels x {factor:g}")
             found.append(Structure(name, model, weighed(factor)))
