@@ -591,6 +591,11 @@ class Solution:
         return self.now.problem
 
     @property
+    def shooting(self) -> Shooting:
+        """The problem over whole records, filtered or not; that of windows holds one."""
+        return getattr(self.problem, "shooting", self.problem)
+
+    @property
     def point(self) -> Point:
         """Unknowns and nodes."""
         return self.now.point
@@ -619,11 +624,13 @@ class Solution:
     @property
     def residuals(self) -> Sequence[np.ndarray]:
         """Measured less model ``(n_times, n_outputs)``, per record."""
-        return self.linearisation.residuals
+        lin = self.now.linearisation
+        return self.problem.residuals(self.point) if lin is None else lin.residuals
 
     def rated(self, shooting: Shooting) -> Solution:
         """The same end where the noise levels are those of another problem."""
-        now = linearised(shooting, self.point, self.linearisation)
+        lin, point = self.now.linearisation, self.point
+        now = linearised(shooting, point, lin) if lin else self.problem.rated(shooting).at(point)
         return replace(self, now=now).finite or self
 
 

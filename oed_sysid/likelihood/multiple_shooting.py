@@ -368,7 +368,7 @@ class MultipleShooting:
         if fit.covariance is not white.covariance or not (early or tests or fit.coloured):
             return fit
         if early:
-            again = self._minimiser(end.problem)(end.problem, end.point)
+            again = self._minimiser(end.shooting)(end.shooting, end.point)
             end = end if again.reason == "diverged" else _after(again, end)
         return replace(self._summary(task, end), process_noise=fit.process_noise)
 
@@ -597,7 +597,7 @@ def _after(end: Solution, *earlier: Solution) -> Solution:
 
 def _with_noise(end: Solution, estimated: np.ndarray, minimise: Minimiser) -> Solution:
     """Alternate between noise levels and everything else until the levels stay."""
-    shooting = end.problem
+    shooting = end.shooting
     if end.reason == "diverged" or not estimated.any():
         return end
     least = ROUNDING * signal_spread(shooting.dataset)

@@ -494,7 +494,7 @@ def constrained(fit: Fit, end: Solution | FilteredSolution, constraints: Sequenc
     -------
     Fit
     """
-    problem: Shooting | Filtered = end.problem
+    problem: Shooting | Filtered = end.shooting
     limits, unknowns = problem.limits, end.point.unknowns
     if not constraints and not np.any((unknowns <= limits.lower) | (unknowns >= limits.upper)):
         return fit

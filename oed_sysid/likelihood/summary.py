@@ -128,7 +128,7 @@ def summarise(solution: Solution, how: Procedure, *, weighed: bool = True) -> Fi
         Whether the covariance holds the colour of the residuals; otherwise it is only said
         whether they have one.
     """
-    shooting, unknowns = solution.problem, solution.point.unknowns
+    shooting, unknowns = solution.shooting, solution.point.unknowns
     if solution.reason == "diverged":
         return _failed(shooting, how)
     if solution.problem is not shooting:
