@@ -113,7 +113,9 @@ def standard_manoeuvres(bench: Bench) -> list[Standard]:
 
     found = []
     for title, angle in sizes if bench.attitude else [("square wave", 1.0)]:
-        runs = ((share, made(title, share * angle)) for share in SIZES)
+        # As large as it may be, to 7 %: designs are judged against it.
+        shares = (2.0 ** -np.arange(0.0, 5.6, 0.1)).tolist()
+        runs = ((share, made(title, share * angle)) for share in shares)
         for share, run, _ in bench.keeping(runs):
             note = "" if share == 1.0 else f"at {share:.0%} of its angles to keep the limits"
             found.append((title, run, note))
