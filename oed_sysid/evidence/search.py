@@ -184,8 +184,9 @@ class Search:
         not: the right effect does not lead out of that valley. What the other search finds is
         claimed against what this one has, with disturbance forces in both. Where that is not
         likelier, whole runs decide: a constant force, say, does not show beside forces that
-        wander, and process noise could not have left runs that are so much better. Nothing found is
-        no reason to leave out forces that the records ask for.
+        wander, and process noise could not have left runs that are so much better. Where forces
+        follow motion or commands, which no disturbance does, any better runs of no more effects do.
+        Nothing found is no reason to leave out forces that the records ask for.
         """
         calm, first, last = self.ended(study, base)
         found, present = end.state.study, end.state.fit
@@ -208,7 +209,9 @@ class Search:
         state = eliminated(state, found, noise, TWOFOLD)
         records = study.train if study.validation is None else study.validation
         here, there = own_error(found, present, records), own_error(study, state.fit, records)
-        if not (state.added and TWOFOLD * there < here):
+        # Process noise that follows motion or commands is none: any better runs of no more effects.
+        fewer = end.left.follows and len(state.added) <= len(end.state.added)
+        if not (state.added and (1.0 if fewer else TWOFOLD) * there < here):
             return replace(end, state=replace(end.state, decisions=state.decisions))
         self.notes.append(
             "Disturbance forces had grown over what is missing: whole runs of what was found "
