@@ -363,7 +363,8 @@ class _Bench:
         least = CLEAR
         for index, part in enumerate(found):
             if part.fit.reason == "iterations" and part.reach > least:
-                end = solved(part.fit, tolerance=NEAR)
+                here = part.fit.problem, part.fit.point
+                end = solve_filtered(*here, tolerance=NEAR, polish=0, begin=part.fit.now)
                 found[index] = replace(part, fit=end.finite or part.fit)
             least = max(least, found[index].gain - GROUP_WIDTH)
         return sorted(found, key=lambda part: -part.gain)

@@ -74,7 +74,7 @@ def bounded_step(
     from scipy.optimize import lsq_linear  # a fifth of a second, which few fits need
 
     # With A = T' T: minimise |T x - T'^-1 b| within the bounds, by active sets.
-    projected = triangle @ (step[open_] / scale)
+    projected = np.linalg.lstsq(triangle.T, target, rcond=None)[0]
     bounds = lower[open_] / scale, upper[open_] / scale
     result = lsq_linear(triangle, projected, bounds, method="bvls")
     step[open_] = scale * result.x

@@ -90,16 +90,15 @@ def begun(problem: Filtered, unknowns: np.ndarray) -> Iterate:
 
 def solved(
     begin: Iterate | FilteredSolution,
-    most: int = 40,
+    most: int,
     progress: Callable[[Progress], None] | None = None,
     *,
     tolerance: float = FROZEN_TOLERANCE,
 ) -> FilteredSolution:
-    """The end of at most so many steps at frozen gain; from one on, what it knows is not asked."""
-    known = begin.now if isinstance(begin, FilteredSolution) else None
+    """The end of at most so many steps at frozen gain."""
     where = begin.problem, begin.point
     return solve_filtered(
-        *where, max_iterations=most, tolerance=tolerance, polish=0, callback=progress, begin=known
+        *where, max_iterations=most, tolerance=tolerance, polish=0, callback=progress
     )
 
 
@@ -736,7 +735,8 @@ def _at_sea(
     looked = [again(near, replace(noise, seas=(one,)), free, FEW) for one in shaped]
 
     def to_the_end(one: FilteredSolution) -> FilteredSolution:
-        return solved(one, setting.max_iterations)
+        most = setting.max_iterations
+        return solve_filtered(one.problem, one.point, max_iterations=most, polish=0, begin=one.now)
 
     best = _first_home(looked, to_the_end)
     return best if best.promise < FROZEN_TOLERANCE else to_the_end(best)
