@@ -46,9 +46,11 @@ from oed_sysid.evidence.check import (
     with_estimates,
 )
 from oed_sysid.evidence.contrasts import contrasts, fitted_law, laws
-from oed_sysid.evidence.corrections import as_measured
+from oed_sysid.evidence.corrections import as_measured, lagged
 from oed_sysid.evidence.inputs import between_runs, scaled_inputs
+from oed_sysid.evidence.readings import Evidence
 from oed_sysid.evidence.relations import Relation, integral, relations, spare_signals
+from oed_sysid.evidence.result import Correction
 from oed_sysid.evidence.screens import screen
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.experiment import Experiment
@@ -638,6 +640,24 @@ def test_an_input_that_never_repeats_a_value_is_judged() -> None:
     states = {one.fault: one.state for one in found.judged if one.signal == "delta"}
     assert set(states) == {*inputs.ASKED}
     assert set(states.values()) == {"tested"}
+
+
+def test_a_unit_is_not_undone_by_a_coefficient_of_nothing() -> None:
+    """Rudder angles times 57.3 with a gain of a fifty-seventh are no explanation; a sign may be."""
+    model = believed_yaw()
+    traces = inputs._traces(yaw_data(), model, ())
+    evidence = Evidence(inputs._question(traces, model, timed=True), traces)
+    assert evidence.gained([Correction("unit", ("delta",), np.degrees(1.0))]) == -np.inf
+    assert evidence.gained([Correction("unit", ("delta",), 1.2)]) == pytest.approx(0.0, abs=3.0)
+
+
+def test_a_lag_of_a_signal_that_ends_early_is_that_of_its_samples() -> None:
+    """What a delay has left undefined at an end of a record stays so, and nothing else."""
+    t = 0.1 * np.arange(100)
+    whole = lagged(t, np.sin(t), 0.5)
+    late = lagged(t, np.where(t < 9.0, np.sin(t), np.nan), 0.5)
+    assert late[:90] == pytest.approx(whole[:90], abs=1e-12)
+    assert np.isnan(late[90:]).all()
 
 
 def test_fast_motion_is_not_smaller_for_the_nominal_model() -> None:

@@ -695,7 +695,8 @@ class Noise:
     ``law`` are the variances of unit noise of each kind, ``(n_kinds, n)``, ``shares`` the estimated
     sizes of these and ``floor`` the least ones, ``variance`` that of every coefficient by these,
     ``target`` the coefficients of the left side,
-    ``distance`` what is left, whitened and squared, and the price of the faults in it.
+    ``distance`` what is left, whitened and squared, and the price of the faults in it, and ``away``
+    how many usual sizes the farthest constant error is from nothing.
     """
 
     def __init__(
@@ -726,6 +727,8 @@ class Noise:
             variance = shares @ law
         self.shares, self.variance = np.asarray(shares), variance
         self.distance = float(np.sum(rest**2 / variance) + size @ size)
+        constant = np.array([faults[k].kind == "bias" for k in used], bool)
+        self.away = float(np.abs(size[constant]).max(initial=0.0))
 
     @property
     def told(self) -> float:
@@ -983,12 +986,14 @@ class Result:
     """What a search ends with: faults, and all that were asked with the least visible size of each.
 
     Of what may begin at any place of a record that is the size at the median place. ``strained``
-    where the signals were so far from agreeing that the linearised scores mislead.
+    where the signals were so far from agreeing that the linearised scores mislead, ``settled``
+    where further linearisations would change nothing.
     """
 
     found: tuple[Found, ...]
     seen: Sequence[tuple[Candidate, float]]
     strained: bool = False
+    settled: bool = True
 
 
 def search(
@@ -1030,6 +1035,10 @@ def search(
         if not picked and (shift < 1e-3 or not near) and bench.settled(before, chosen):
             break
         shift *= 0.5 if near else 1.0
+    else:
+        # Beside errors that are given, sizes that go on changing are those of nothing.
+        if n_given:
+            return Result((), [*dict.fromkeys(faults, np.inf).items()], strained, settled=False)
     seen = [*bench.visible(chosen), *wide.anywhere(there)]
     return Result(bench.found(chosen), seen, strained)
 

@@ -94,11 +94,16 @@ def lagged(times: np.ndarray, series: np.ndarray, lag: float) -> np.ndarray:
     >>> print(lagged(t, 1.0 * (t > 0.0), 2.0)[200].round(2))
     0.63
     """
-    if lag <= 0.0:
-        return np.asarray(series - lag * np.gradient(series, times))
+    present = np.isfinite(series)
+    whole = np.interp(times, times[present], series[present])  # a filter remembers what is missing
     # The mean delay is the lag, whatever the step.
     step = float(np.median(np.diff(times)))
-    return first_order(series, step / (lag + step))
+    answer = (
+        first_order(whole, step / (lag + step))
+        if lag > 0.0
+        else whole - lag * np.gradient(whole, times)
+    )
+    return np.where(present, answer, np.nan)
 
 
 def _undone(

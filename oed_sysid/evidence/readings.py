@@ -22,7 +22,7 @@ from itertools import product
 
 import numpy as np
 
-from oed_sysid.evidence.chance import FALSE_CLAIMS
+from oed_sysid.evidence.chance import FALSE_CLAIMS, threshold
 from oed_sysid.evidence.contrasts import (
     CLOSE,
     MOST_BLOCKS,
@@ -75,7 +75,8 @@ def _as_units(one: Found, units: Mapping[str, str]) -> list[Found]:
     near = [
         Found(Candidate("unit" if factor > 0.0 else "sign", names, meaning=meaning), factor)
         for factor, meaning in factors
-        if abs(by - factor) < max(RELATIVE * abs(by), 3.0 * error)
+        # What may be no effect at all is no other unit.
+        if abs(by - factor) < max(RELATIVE * abs(by), 3.0 * error) and 3.0 * error < abs(by)
     ]
     return [replace(reading, gain=one.gain) for reading in near[:1]]
 
@@ -87,18 +88,31 @@ class Evidence:
     question: Question
     traces: Sequence[Trace]
 
-    @cached_property
+    @property
     def told(self) -> np.ndarray:
         """Information of each equation, ``(n_relations,)``."""
+        return self._now[0]
+
+    @cached_property
+    def _now(self) -> np.ndarray:
         return self._told(self.traces, self.question.relations)
 
     def gained(self, corrections: Sequence[Correction]) -> float:
-        """What all equations tell more with some faults undone; only those with the signals do."""
+        """What all equations tell more with some faults undone; only those with the signals do.
+
+        Nothing, where an error of a parameter that is given would have to be larger for it than
+        chance allows: a coefficient of almost nothing undoes any other unit of its input, and may
+        then be anything.
+        """
         relations, changed = self.question.relations, {n for c in corrections for n in c.signals}
         asked = [k for k, r in enumerate(relations) if changed & {*r.names}]
         undone = [undo(trace, corrections, relations) for trace in self.traces]
-        after = self._told(undone, tuple(relations[k] for k in asked))
-        return float(np.sum(after - self.told[asked]))
+        after, away = self._told(undone, tuple(relations[k] for k in asked))
+        told, before = self._now[:, asked]
+        chance = math.sqrt(threshold(len(self.question.given), 1))
+        return (
+            float(np.sum(after - told)) if np.all(away <= np.maximum(before, chance)) else -np.inf
+        )
 
     def ranked(self, readings: Iterable[Found]) -> list[Found]:
         """Readings with what each gains, the likeliest first."""
@@ -106,11 +120,12 @@ class Evidence:
         return sorted(told, key=lambda one: one.candidate.rare - one.gain)
 
     def _told(self, traces: Sequence[Trace], asked: tuple[Relation, ...]) -> np.ndarray:
-        given, result = self.question.given, np.zeros(len(asked))
+        given, result = self.question.given, np.zeros((2, len(asked)))
         pieces = [p for t in traces for p in contrasts(t, asked, given)] if asked else []
         for k in {piece.relation for piece in pieces}:
             mine = [piece for piece in pieces if piece.relation == k]
-            result[k] = Noise(mine, given, np.arange(len(given))).told
+            noise = Noise(mine, given, np.arange(len(given)))
+            result[:, k] = noise.told, noise.away
         return result
 
 

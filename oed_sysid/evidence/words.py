@@ -260,6 +260,7 @@ def judged_row(
     if size <= plausible:
         return Judged(kind, name, "tested", shown)
     whys = {
+        "no faults explain what the nominal model leaves": ended is not None and not ended.settled,
         "nothing in which it moves enough": kind in READ,
         "no equation without unknown parameters relates it": not related,
         f"the motion shows it from {shown} on only": bool(shown),
