@@ -392,6 +392,28 @@ def test_integral_is_of_fourth_order() -> None:
     assert errors[0] < 1e-3
 
 
+@pytest.mark.parametrize("logged", [1.0, 1.1])
+def test_accelerations_that_are_held_make_no_scale(logged: float) -> None:
+    """Between samples a velocity moves on straight lines; splines take 2 % of it away.
+
+    A real error of 10 % is found, and its interval holds both.
+    """
+    buoy = Model(
+        "buoy", states("z w"), (Input("push", "m/s^2"),), outputs("z w"),
+        {"z": "w", "w": "A*push"}, parameters=(Parameter("A", 1.0),), step=0.5,
+    )  # fmt: skip
+    rng, t = np.random.default_rng(0), 0.5 * np.arange(400)
+    push = np.cos(2.0 * np.pi * t / 6.0)
+    w = np.append(0.0, np.cumsum(0.5 * push)[:-1])
+    z = np.append(0.0, np.cumsum(0.25 * (w[1:] + w[:-1])))
+    measured = np.column_stack([z, logged * w]) + 0.01 * rng.standard_normal((400, 2))
+    record = Record("run", t, push[:, None], measured, buoy.channels)
+    found = check(Dataset((record,)), buoy, inputs=False).serious
+    assert [(one.kind, one.signals) for one in found] == [("scale", ("w",))] * (logged != 1.0)
+    for one in found:
+        assert one.interval[0] < 0.1 < one.interval[1]
+
+
 def test_noise_of_an_equation_is_recovered() -> None:
     """Levels of white noise plus a random walk come out within their own error."""
     rng = np.random.default_rng(0)

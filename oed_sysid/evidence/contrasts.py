@@ -369,11 +369,12 @@ def _rms(traces: Sequence[Trace], name: str) -> float:
 class Piece:
     """Cosine coefficients of one equation over one uninterrupted piece of a record.
 
-    ``times`` are those of the blocks, ``residual`` and ``target`` ``(n,)``, ``columns``
-    ``(n, n_used)`` of the candidates ``used``, those in the record before those at its places; a
-    block has ``group`` samples and length ``span`` in s; ``walk`` is the variance per block that
-    the fast noise of the rates produces, ``level`` the deviation of the left side's, ``shares`` the
-    part of each signal in ``walk``; ``forced`` where forces are noise of the equation.
+    ``times`` are those of the blocks, ``residual``, ``target`` and ``sampled``, what is not known
+    of the integral between samples, ``(n,)``, ``columns`` ``(n, n_used)`` of the candidates
+    ``used``, those in the record before those at its places; a block has ``group`` samples and
+    length ``span`` in s; ``walk`` is the variance per block that the fast noise of the rates
+    produces, ``level`` the deviation of the left side's, ``shares`` the part of each signal in
+    ``walk``; ``forced`` where forces are noise of the equation.
     """
 
     relation: int
@@ -381,6 +382,7 @@ class Piece:
     times: np.ndarray
     residual: np.ndarray
     target: np.ndarray
+    sampled: np.ndarray
     columns: np.ndarray
     used: np.ndarray
     span: float
@@ -470,8 +472,10 @@ def contrasts(
         shapes = {k: shape for k, shape in every.items() if shape.keys() & {*relation.names}}
         slopes = _slopes(relation, motion, set().union(*shapes.values()))
         target, zero = trace.values[relation.target], np.zeros(trace.times.size)
-        # Residual, left side, candidates, what begins anywhere: each a left side less an integral.
-        pairs = [(target, right), (target, zero)]
+        # Residual, left side, sampling, candidates, what begins anywhere: each a left side less an
+        # integral.
+        sampled = relation.sampled(trace.times, right) if relation.is_rate else zero
+        pairs = [(target, right), (target, zero), (sampled, zero)]
         for shape in shapes.values():
             inside = sum((slopes[n] * shape[n] for n in slopes if n in shape), zero)
             pairs.append((shape.get(relation.target, zero), inside))
@@ -539,10 +543,10 @@ def _pieces(
         whole = (left[piece] - sums)[rows]
         means = factor * whole.reshape(n, group, -1).mean(axis=1)
         middle = times[rows].reshape(n, group).mean(axis=1)
-        grown = zip(begun, means[:, 2 + len(shaped) :].T, strict=True)
+        grown = zip(begun, means[:, 3 + len(shaped) :].T, strict=True)
         placed = [one.columns(middle, series, rated=rated) for one, series in grown]
         # The constant is left out: an integral is known up to where it began.
-        waves = dct(np.hstack([means[:, : 2 + len(shaped)], *placed]), axis=0, norm="ortho")[1:]
+        waves = dct(np.hstack([means[:, : 3 + len(shaped)], *placed]), axis=0, norm="ortho")[1:]
         if not waves[:, :2].any():  # a constant says nothing
             continue
         span = float(times[-1] - times[0]) / n
@@ -555,7 +559,8 @@ def _pieces(
             times=middle,
             residual=waves[:, 0],
             target=waves[:, 1],
-            columns=waves[:, 2:],
+            sampled=waves[:, 2],
+            columns=waves[:, 3:],
             used=used,
             span=span,
             group=group,
@@ -672,7 +677,7 @@ def assemble(
             walk = (shares[len(CORRELATIONS) :] @ here[len(CORRELATIONS) :]) / level
             half = 0.5 * _attenuation(piece, every, float(walk.sum()), power)
             right[used] -= half
-            doubt[used] += np.abs(half)
+            doubt[used] += np.abs(half) + np.abs(white.T @ (piece.sampled / np.sqrt(level)))
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = 2.0 * own**2 / relative
     freedom = np.clip(np.nan_to_num(freedom, nan=3.0, posinf=1e6), 3.0, 1e6)
@@ -772,7 +777,7 @@ class System:
     ``gram`` is ``(n_rows, n)``, without rows of what begins anywhere (the last of the candidates,
     which are chosen once they are picked for the next linearisation), ``own`` its diagonal
     ``(n,)``, ``right`` ``(n,)``, ``limits`` what each needs, ``doubt`` the half-width of what noise
-    in a regressor may have added to ``right``.
+    in a regressor and motion between samples may have added to ``right``.
     """
 
     faults: Sequence[Candidate]

@@ -31,6 +31,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.record import Record, unwrapped
@@ -88,6 +89,14 @@ class Relation:
     def integral(self, times: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Cumulative integral of rates of :meth:`__call__`, ``(n_times, k)``; first row zero."""
         return integral(times, columns)
+
+    def sampled(self, times: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """What curves between samples change of the integral by straight lines, ``(n_times,)``.
+
+        Where commands are held, accelerations jump, and slopes across samples are as wrong as none.
+        """
+        curved = self.integral(times, rates[:, None])[:, 0]
+        return curved - cumulative_trapezoid(rates, times, initial=0.0)
 
     def __str__(self) -> str:
         return f"{self.target}{chr(39) if self.is_rate else ''} = {expressions.to_text(self.text)}"
