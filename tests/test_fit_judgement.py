@@ -35,7 +35,7 @@ from oed_sysid.likelihood.estimate import Departure
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import nowhere
 from oed_sysid.likelihood.judgement import CHECKS, FATAL, Concern, judge, unexplained
-from oed_sysid.likelihood.laws import asked_beside
+from oed_sysid.likelihood.laws import departures_beside
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import (
     FALSE_SHARE,
@@ -338,11 +338,32 @@ def test_a_delay_has_to_show_beside_the_sea_that_was_found(late: float, said: li
     fit = MultipleShooting().fit(steered_ship.YAW, Dataset(tuple(records)))
     assert len(fit.noise.seas) == 1
     before = Departure("delta", "acts late", 0.4, 0.08, 25.0, 1.0)
-    beside = asked_beside(fit, before)
+    (beside,) = (d for d in departures_beside(fit) if (d.signal, d.kind) == ("delta", "acts late"))
     assert abs(beside.size - late) < 3.0 * beside.std
     assert beside.std < 0.1
     told = replace(fit, process_noise=replace(fit.process_noise, departure=before))
     assert [one.signal for one in told.concerns if one.kind == "delay"] == said
+
+
+def test_departures_are_asked_beside_process_noise() -> None:
+    """A gyro that is off where a force acts is named with its size; a right log is not accused.
+
+    Slopes of predictions that know the measurement itself would make every right log seem early;
+    Euler's method in steps of 0.02 s leaves angle and rate a hundredth of a second apart.
+    """
+    right = steered_ship.two(1)
+    fit = MultipleShooting().fit(steered_ship.YAW, right)
+    assert fit.noise.has_forces
+    assert not {"delay", "offset", "scale"} & kinds(fit)
+    for one in departures_beside(fit):
+        apart = 0.01 if one.kind == "late" else 0.0
+        assert abs(one.size) < 3.0 * one.std + apart
+    off = changed(right, lambda record: record.outputs + np.array([0.0, 0.004]))
+    fit = MultipleShooting().fit(steered_ship.YAW, off)
+    assert fit.noise.has_forces
+    (found,) = (one for one in fit.concerns if one.kind == "offset")
+    assert found.signal == "r"
+    assert found.size == pytest.approx(0.004, rel=0.1)
 
 
 def test_colour_counts_independent_samples() -> None:

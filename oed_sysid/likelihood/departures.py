@@ -46,10 +46,19 @@ Departed = TypeVar("Departed", Departure, ActuatorStart)
 # Standard errors from which a departure counts: one output in 10^5 by chance; and those from which
 # one value is not another, or a signal is no noise.
 CLEAR, CLEARLY = 4.5, 3.0
+
+
+def _slope_before(outputs: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Slopes ``(n_times, ...)`` from the sample before to each; none at the first."""
+    rise = (outputs[1:].T - outputs[:-1].T) / np.diff(times)
+    return np.concatenate([np.zeros_like(outputs[:1]), rise.T])
+
+
 # What a unit of each departure adds to outputs ``(n_times, n)`` at some times, s. An output that is
-# late shows what was: y(t - d) = y(t) - d y'(t).
+# late shows what was: y(t - d) = y(t) - d y'(t), with the slope before t. That after t would tell a
+# filter's innovations of measurements to come, and right logs would seem early.
 SHAPES: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
-    "late": lambda outputs, times: -np.gradient(outputs, times, axis=0),
+    "late": lambda outputs, times: -_slope_before(outputs, times),
     "off": lambda outputs, _: np.ones_like(outputs),
     "scale": lambda outputs, _: outputs,
 }
@@ -150,15 +159,19 @@ def _scores(fit: Estimate, parts: Sequence[_Evidence], *, joint: bool) -> Iterat
             yield _Score(int(column), part.record, size, std, gain, share)
 
 
+def asked_of(model: Model) -> list[tuple[str, str]]:
+    """Signals and kinds of the departures that are asked: of every output, and late inputs."""
+    outputs = [(name, kind) for kind in SHAPES for name in model.output_names]
+    return outputs + [(name, "acts late") for name in model.input_names]
+
+
 def estimate_departures(fit: Estimate) -> tuple[Departure, ...]:
     """Score estimates of what may be wrong with single signals, at a fit with white noise.
 
     See the equations above; residuals that are coloured enlarge the standard errors by the root
     of the ratio of all to independent samples, those larger than declared by their misfit.
     """
-    signals = [(name, kind) for kind in SHAPES for name in fit.model.output_names]
-    signals += [(name, "acts late") for name in fit.model.input_names]
-    own = _slowness(fit)
+    signals, own = asked_of(fit.model), _slowness(fit)
     slow = [*own * len(SHAPES), *[max(own)] * len(fit.model.input_names)]
     parts = _evidence(fit, partial(_departed, fit), fewest=3)
     return tuple(
@@ -202,13 +215,13 @@ def _clear(fit: Estimate, found: Sequence[Departed]) -> list[Departed]:
     return clear
 
 
-def clear_departure(fit: Estimate) -> Departure | None:
-    """The one departure that explains most, if it is significant and worth a word.
+def clear_departure(fit: Estimate, found: Sequence[Departure]) -> Departure | None:
+    """The one departure of those found that explains most, if it is clear and worth a word.
 
     With those of which the records cannot tell it: a rate of a larger scale from an angle of a
     smaller one where the coefficient of the input is free.
     """
-    clear = _clear(fit, estimate_departures(fit))
+    clear = _clear(fit, found)
     best = max(clear, key=lambda one: one.gain, default=None)
     if best is None:
         return None

@@ -72,13 +72,14 @@ from oed_sysid.likelihood.departures import (
     change_of_outputs,
     clear_departure,
     clear_starts,
+    estimate_departures,
     outputs_of,
 )
 from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate, once_a_fit
 from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
 from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.integration import BIAS, half_step_change, step_change
-from oed_sysid.likelihood.laws import asked_beside, laws_of, loss_without, posed_again
+from oed_sysid.likelihood.laws import departures_beside, laws_of, loss_without, posed_again
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
     RARE,
@@ -483,13 +484,18 @@ def _departure(kinds: Sequence[str], fit: Estimate) -> Iterator[Found]:
 @once_a_fit
 def _sought(fit: Estimate) -> Departure | None:
     """What explains most of a fit's departures: each kind of concern asks for the same."""
+    if fit.innovations is None:
+        return clear_departure(fit, estimate_departures(fit)) if _own_residuals(fit) else None
+    beside = departures_beside(fit)
     before = None if fit.process_noise is None else fit.process_noise.departure
     if before is None:
-        return clear_departure(fit) if _own_residuals(fit) else None
+        # What makes forces follow the motion is physics, and looks like a sensor that is wrong.
+        found = clear_departure(fit, beside)
+        return None if found is None or laws_of(fit) else found
     # Disturbance forces absorb a departure, so that its size is that before them; and what an
     # autopilot does about them is none, so that it has to show beside them as well.
-    beside = before if fit.innovations is None else asked_beside(fit, before)
-    shows = beside.size * np.sign(before.size) > TWO_SIDED_95 * beside.std
+    same = (one for one in beside if (one.signal, one.kind) == (before.signal, before.kind))
+    shows = any(one.size * np.sign(before.size) > TWO_SIDED_95 * one.std for one in same)
     return before if shows else None
 
 

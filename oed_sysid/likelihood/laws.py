@@ -44,7 +44,7 @@ from oed_sysid.compiled.filtering import FilterPass, filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.errors import SimulationError
-from oed_sysid.likelihood.departures import SHAPES, acting_late
+from oed_sysid.likelihood.departures import SHAPES, acting_late, asked_of
 from oed_sysid.likelihood.disturbances import DISTURBANCE, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import Departure, Estimate, once_a_fit
@@ -108,9 +108,12 @@ class Law:
 @once_a_fit
 def laws_of(fit: Estimate) -> tuple[Law, ...] | None:
     """Laws that the process noise of a fit holds; None where that cannot be asked."""
-    if not len(fit.initial_states) == len(fit.local_values) == len(fit.dataset):
-        return None
-    return laws(*posed_again(fit))
+    return laws(*posed_again(fit)) if _has_starts(fit) else None
+
+
+def _has_starts(fit: Estimate) -> bool:
+    """Whether a fit knows where every record began, so that its likelihood can be posed again."""
+    return len(fit.initial_states) == len(fit.local_values) == len(fit.dataset)
 
 
 def posed_again(
@@ -143,10 +146,11 @@ def posed_again(
     return problem, problem.point(fit.initial_states, fit.local_values).unknowns
 
 
-def asked_beside(fit: Estimate, found: Departure) -> Departure:
-    r"""A departure that the fit to white noise shows, asked beside the process noise of a fit.
+@once_a_fit
+def departures_beside(fit: Estimate) -> tuple[Departure, ...]:
+    r"""Departures of single signals, each asked on its own beside the process noise of a fit.
 
-    The score is that of a law, :math:`G` the derivatives of whitened innovations by the departure:
+    The score is that of a law, :math:`G` the derivatives of whitened innovations by the departures:
     what an autopilot does about waves comes late in the residuals of whole runs, and in no
     innovation.
 
@@ -154,42 +158,58 @@ def asked_beside(fit: Estimate, found: Departure) -> Departure:
     ----------
     fit : Estimate
         With process noise.
-    found : Departure
-        Of one of its signals.
 
     Returns
     -------
-    Departure
-        With the size, the error and the statistic that it has there.
+    tuple of Departure
+        Of every output and input; empty where it cannot be asked.
     """
+    if not (fit.names and _has_starts(fit)):
+        return ()
     problem, unknowns = posed_again(fit)
     point = Scored(problem, unknowns, problem.passes(unknowns, levels=False, rows=True))
-    spoilt, unit = _spoilt(fit, found, point.passes)
-    moved = posed_again(replace(fit, dataset=spoilt))[0].passes(unknowns, columns=False)
-    columns = (
-        ((other.innovations - part.innovations) / np.sqrt(part.variances) / unit)[:, :, None]
-        for part, other in zip(point.passes, moved, strict=True)
+    asked, columns = asked_of(fit.model), list[list[np.ndarray]]()
+    for signal, kind in asked:
+        spoilt, unit = _spoilt(fit, signal, kind, point.passes)
+        moved = posed_again(replace(fit, dataset=spoilt))[0].passes(unknowns, columns=False)
+        columns.append(
+            [
+                (other.innovations - part.innovations) / np.sqrt(part.variances) / unit
+                for part, other in zip(point.passes, moved, strict=True)
+            ]
+        )
+    rows = (np.stack(of_record, axis=2) for of_record in zip(*columns, strict=True))
+    left, scores, own = point.score(rows, len(asked))
+    information = np.maximum(np.diag(left), ABSORBED * own)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sizes, std = scores / information, information**-0.5
+    gains = point.scatter * sizes * scores
+    errors = np.concatenate([part[np.isfinite(part)] for part in fit.whitened])
+    shares = np.minimum(gains / max(float(errors @ errors) - len(errors), 1e-9), 1.0)
+    numbers = zip(*(one.tolist() for one in (sizes, std, gains, shares)), strict=True)
+    return tuple(
+        Departure(*signal, *own)
+        for signal, own in zip(asked, numbers, strict=True)
+        if np.isfinite(own).all()
     )
-    left, score, own = (one.item() for one in point.score(columns, 1))
-    information = max(left, ABSORBED * own)
-    size, std = score / information, information**-0.5
-    return replace(found, size=size, std=std, gain=point.scatter * size * score)
 
 
-def _spoilt(fit: Estimate, found: Departure, parts: Sequence[FilterPass]) -> tuple[Dataset, float]:
+def _spoilt(
+    fit: Estimate, signal: str, kind: str, parts: Sequence[FilterPass]
+) -> tuple[Dataset, float]:
     """Records with some more of a departure undone, and how much that is."""
-    if found.kind == "acts late":
-        column = fit.model.input_names.index(found.signal)
+    if kind == "acts late":
+        column = fit.model.input_names.index(signal)
         # Commands are steps: less than a sample would move nothing.
         unit = min(record.sample_time for record in fit.dataset)
         return Dataset(tuple(acting_late(one, column, unit) for one in fit.dataset)), unit
-    column, records = fit.model.output_names.index(found.signal), []
+    column, records = fit.model.output_names.index(signal), []
     for record, part in zip(fit.dataset, parts, strict=True):
         outputs = record.outputs.copy()
         seen = np.isfinite(outputs[:, column]) & (not record.independent)
         if seen.sum() > 1:
             expected = (outputs - part.innovations)[seen, column]
-            outputs[seen, column] -= SHAPES[found.kind](expected, record.times[seen])
+            outputs[seen, column] -= SHAPES[kind](expected, record.times[seen])
         records.append(record.with_outputs(outputs))
     return Dataset(tuple(records)), 1.0
 

@@ -11,7 +11,12 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError, SimulationError, respelled
-from oed_sysid.likelihood.departures import CLEARLY, clear_departure, clear_starts
+from oed_sysid.likelihood.departures import (
+    CLEARLY,
+    clear_departure,
+    clear_starts,
+    estimate_departures,
+)
 from oed_sysid.likelihood.disturbances import Place, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import ProcessNoiseTest
@@ -462,9 +467,8 @@ class MultipleShooting:
         own = with_levels(found.model, found.noise)
         asked = ProcessNoiseTest(test.gain)
         if fit.names:  # departures of signals and starts of actuators, which the forces absorb
-            asked = replace(
-                asked, departure=clear_departure(fit), actuator_starts=clear_starts(fit)
-            )
+            departure = clear_departure(fit, estimate_departures(fit))
+            asked = replace(asked, departure=departure, actuator_starts=clear_starts(fit))
         return fit, replace(found, process_noise=asked, model=own)
 
     def _places(self, model: Model, declared: Sequence[RandomProcess]) -> tuple[Place, ...] | None:
