@@ -528,13 +528,11 @@ def advice(
     ranking: Ranking,
     parameters: Sequence[dict[str, Any]],
     *,
-    explained: bool,
-    suspect: bool = False,
+    kind: str = "adequate",
     before: float = np.nan,
     last: Ranking | None = None,
 ) -> list[str]:
     """Advice on a result as far as it is looked at."""
-    kind = "log suspect" if suspect else "adequate" if explained else "structure missing"
     result: Any = SimpleNamespace(
         steps=steps,
         ranking=ranking,
@@ -549,7 +547,7 @@ def advice(
 
 def test_one_effect_is_believed_with_its_size() -> None:
     """A single confirmed effect is stated with value and error; what is invisible is not denied."""
-    text = "\n".join(advice([step("drag")], RANKING, ESTIMATES, explained=True))
+    text = "\n".join(advice([step("drag")], RANKING, ESTIMATES))
     assert "drag is missing, the validation records agree: E_drag = 2.00 ± 0.20 N (95 %)" in text
     assert "that faint is absent: its typical" in text
     assert "Next at sea" not in text
@@ -557,17 +555,19 @@ def test_one_effect_is_believed_with_its_size() -> None:
 
 def test_a_group_is_not_believed_to_be_its_first_member() -> None:
     """Rivals are named, with the manoeuvres that they need and the command that designs one."""
-    text = "\n".join(advice([step("drag", "bias")], RANKING, ESTIMATES, explained=False))
+    text = "\n".join(advice([step("drag", "bias")], RANKING, ESTIMATES, kind="structure missing"))
     assert "drag or bias helps, the validation records agree; it may stand for" in text
     assert "that it is drag (E_drag = 2.00 ± 0.20 N (95 %)): bias does as well" in text
     assert "coasting; several speeds" in text
     assert "--discriminate drag bias" in text
-    assert "more is missing than was found" in text
+    assert "standard errors of the parameters: more is missing than was found" in text
+    text = "\n".join(advice([step("drag")], RANKING, ESTIMATES, kind="not known"))
+    assert "standard errors of the parameters: whether more is missing is not known" in text
 
 
 def test_an_untested_claim_is_not_believed() -> None:
     """Without validation records the claim waits for one."""
-    text = "\n".join(advice([step("drag", test_gain=np.nan)], RANKING, ESTIMATES, explained=True))
+    text = "\n".join(advice([step("drag", test_gain=np.nan)], RANKING, ESTIMATES))
     assert "validation records agree" not in text
     assert "drag before a validation record has confirmed it" in text
 
@@ -576,7 +576,7 @@ def test_a_claim_beside_a_rising_error_is_doubted() -> None:
     """Only the step with which validation runs become worse is named, and sizes without errors."""
     estimates = ({"name": "E_drag", "value": 2.0, "std_error": np.inf, "unit": "N"},)
     steps = [step("drag", test_error=1.5), step("faint", test_error=0.9)]
-    lines = advice(steps, RANKING, estimates, explained=True, before=1.2)
+    lines = advice(steps, RANKING, estimates, before=1.2)
     doubted = [line for line in lines if "alone" in line]
     assert len(doubted) == 1
     assert "drag" in doubted[0]
@@ -588,20 +588,20 @@ def test_a_claim_beside_a_rising_error_is_doubted() -> None:
 def test_a_size_that_may_be_anything_is_not_stated(std_error: float, told: bool) -> None:
     """An interval of more than a hundred typical sizes is no size; nor one beyond all bounds."""
     row = {"name": "E_drag", "value": 2.0, "std_error": std_error, "unit": "N"}
-    lines = advice([step("drag")], RANKING, (row,), explained=True)
+    lines = advice([step("drag")], RANKING, (row,))
     assert any("size of E_drag" in line for line in lines) != told
     bounded = replace(step("drag").effect.parameters[0], lower=0.0, upper=3.0)
     effect = replace(step("drag").effect, parameters=(bounded,))
     claim = SimpleNamespace(**{**vars(step("drag")), "effect": effect})
-    lines = advice([claim], RANKING, (row,), explained=True)
+    lines = advice([claim], RANKING, (row,))
     assert any("size of E_drag" in line for line in lines) == (std_error > 1.0)
 
 
 def test_nothing_is_believed_of_a_log_that_contradicts_itself() -> None:
     """What was found is listed under a condition, and there is no list of what to believe."""
-    lines = advice([step("drag")], RANKING, ESTIMATES, explained=False, suspect=True)
+    lines = advice([step("drag")], RANKING, ESTIMATES, kind="log suspect")
     titles = [line for line in lines if not line.startswith(" ")]
-    assert titles[0] != advice([step("drag")], RANKING, ESTIMATES, explained=False)[0]
+    assert titles[0] != advice([step("drag")], RANKING, ESTIMATES, kind="structure missing")[0]
     assert "Believe:" not in titles
     assert any("drag is missing" in line for line in lines)
 
@@ -624,8 +624,8 @@ def test_what_would_not_show_is_asked_of_the_last_round() -> None:
     first = Ranking((candidate("wind", "", 9.0),), (), np.ones(3))
     last = Ranking((candidate("wind", "", 0.01),), (), np.ones(3))
     assert set(first.undetectable()) == {"wind"}
-    assert len(advice((), first, (), explained=True)) == 2  # a title and a line
-    assert not advice((), first, (), explained=True, last=last)
+    assert len(advice((), first, ())) == 2  # a title and a line
+    assert not advice((), first, (), last=last)
 
 
 def test_what_free_parameters_do_is_named_apart() -> None:
@@ -633,7 +633,7 @@ def test_what_free_parameters_do_is_named_apart() -> None:
     wind, same = candidate("wind", "", 9.0), candidate("same", "", np.inf)
     ranking = Ranking((wind, replace(same, distinct=0.0)), (), np.ones(3))
     assert ranking.imitated() == ("same",)
-    _, unseen, imitated = advice((), ranking, (), explained=True)
+    _, unseen, imitated = advice((), ranking, ())
     assert ("wind" in unseen, "same" in unseen) == (True, False)
     assert ("wind" in imitated, "same" in imitated) == (False, True)
 
@@ -642,7 +642,7 @@ def test_what_free_parameters_do_is_named_apart() -> None:
 def test_a_claim_whose_interval_holds_zero_is_doubted(std_error: float, doubted: int) -> None:
     """Correlated residuals widen the interval after the likelihood has spoken."""
     row = {"name": "E_drag", "value": 2.0, "std_error": std_error, "unit": "N"}
-    lines = advice([step("drag")], RANKING, (row,), explained=True)
+    lines = advice([step("drag")], RANKING, (row,))
     told = lines[lines.index("Do not believe:") :] if "Do not believe:" in lines else []
     assert sum("drag" in line for line in told) == doubted
 

@@ -576,7 +576,9 @@ def advice(result: Improvement) -> list[str]:
     doubt += _not_shown(result.steps, result.last or result.ranking)
     # Noise and disturbance forces the standard errors hold.
     if kind not in EXPLAINED:
-        doubt.append("standard errors of the parameters: more is missing than was found.")
+        open_ = kind == "not known"
+        why = "whether more is missing is not known" if open_ else "more is missing than was found"
+        doubt.append(f"standard errors of the parameters: {why}.")
     lists = {
         "Only if the log is right" if kind == "log suspect" else "Believe": believe,
         "Do not believe": doubt,
