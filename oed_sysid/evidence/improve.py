@@ -30,6 +30,7 @@ from oed_sysid.evidence.search import Ended, Search, every_step
 from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.archive import encode
+from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.input_factors import input_factors
@@ -189,7 +190,11 @@ def _read_wrong(study: Study, base: FilteredSolution) -> list[str]:
 
 def _other_noise(fit: Fit) -> list[str]:
     """Words where sensors are not as loud as declared."""
-    found = concerns_of(fit, "noise_level")
+    found = [
+        concern
+        for concern in concerns_of(fit, "noise_level")
+        if not 1.0 / WORTH_TELLING < concern.size < WORTH_TELLING
+    ]
     if not found:
         return []
     told = ", ".join(f"{concern.signal} {concern.size:.2g} times" for concern in found)
