@@ -482,7 +482,8 @@ def _contradiction(fit: Fit | Model, goals: Sequence[Goal]) -> Contradiction | N
     least = int(np.argmin(found.chances))
     series = [record.name for record in fit.dataset if not record.independent]
     apart = sources.apart(found.worst)
-    order = [int(i) for i in np.argsort(-np.abs(apart)) if abs(apart[i]) > TWO_SIDED_95]
+    sizes = np.abs(apart)
+    order = np.argsort(-sizes)[: np.count_nonzero(sizes > TWO_SIDED_95)].tolist()
     return Contradiction(
         source="what was known before" if found.worst == 0 else repr(series[found.worst - 1]),
         statistic=(found.statistic, *found.each)[least],

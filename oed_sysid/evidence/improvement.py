@@ -574,11 +574,7 @@ def advice(result: Improvement) -> list[str]:
         sea += _manoeuvre(step.group, known, bool(result.base.inputs))
         before = step.test_error
     doubt += _not_shown(result.steps, result.last or result.ranking)
-    # Noise and disturbance forces the standard errors hold.
-    if kind not in EXPLAINED:
-        open_ = kind == "not known"
-        why = "whether more is missing is not known" if open_ else "more is missing than was found"
-        doubt.append(f"standard errors of the parameters: {why}.")
+    doubt += _errors_that_do_not_hold(kind)
     lists = {
         "Only if the log is right" if kind == "log suspect" else "Believe": believe,
         "Do not believe": doubt,
@@ -586,6 +582,15 @@ def advice(result: Improvement) -> list[str]:
     }
     filled = ([f"{title}:", *(f"  - {one}" for one in of)] for title, of in lists.items() if of)
     return [*chain.from_iterable(filled)]
+
+
+def _errors_that_do_not_hold(kind: str) -> list[str]:
+    """Noise and disturbance forces the standard errors hold, nothing else."""
+    if kind in EXPLAINED:
+        return []
+    asked = kind != "not known"
+    why = "more is missing than was found" if asked else "whether more is missing is not known"
+    return [f"standard errors of the parameters: {why}."]
 
 
 def _judged(
