@@ -217,25 +217,18 @@ class Reduced:
 
     Parameters
     ----------
-    problem : Posed
-    unknowns : ndarray (n_unknowns,)
-        The optimum.
-    jacobians : sequence of ndarray (n_times, n_outputs, n_own + n_free)
-        Derivatives of the model's outputs by the unknowns of a record, in standard deviations of
-        the errors, zero where nothing was measured.
+    records : sequence of Record
+    rows : list of ndarray (n_times * n_outputs, n_shared)
+        Whitened and reduced Jacobian by values, per record; zero where nothing was measured.
+    prior_rows : list of ndarray (n_rows, n_shared)
+        What priors add.
     errors : sequence of ndarray (n_times, n_outputs)
-        In that unit, as the loss lets them count.
+        In standard deviations, as the loss lets them count.
     gain : ndarray (n_outputs,)
         Slope of the errors as they count: 1 for least squares, less for robust losses.
 
     Attributes
     ----------
-    rows : list of ndarray (n_times * n_outputs, n_shared)
-        Whitened and reduced Jacobian, per record; zero where nothing was measured.
-    prior_rows : list of ndarray (n_rows, n_shared)
-        What priors add.
-    pull : ndarray (n_shared,)
-        Score of the priors.
     told : Scores
     information : Information
         Of the shared parameters, as if errors were white.
@@ -245,39 +238,19 @@ class Reduced:
 
     def __init__(
         self,
-        problem: Posed,
-        unknowns: np.ndarray,
-        jacobians: Sequence[np.ndarray],
+        records: Sequence[Record],
+        rows: list[np.ndarray],
+        prior_rows: list[np.ndarray],
         errors: Sequence[np.ndarray],
         gain: np.ndarray,
     ) -> None:
-        self.problem = problem
-        layout, limits = problem.layout, problem.limits
-        n_shared, keep = len(layout.shared), layout.n_own + layout.shared
-        # Derivatives by values, of parameters whose logarithm is unknown too.
-        self._slopes = layout.shared_values(unknowns)[1]
-        weight = np.sqrt(limits.prior_weight)
-        away = weight * (limits.prior_mean - unknowns)
-        shared = np.diag(weight[:n_shared] / self._slopes)
-        self.rows, self.prior_rows, self.pull = [], [shared], shared @ away[:n_shared]
-        for index, jacobian in enumerate(jacobians):
-            flat = (jacobian * np.sqrt(gain)[:, None]).reshape(-1, jacobian.shape[2])
-            columns = layout.record_columns(index)
-            # What is held explains nothing away.
-            drop = layout.own[~limits.held[columns[layout.own]]]
-            # Priors are rows like measurements; the shared parameters do not enter them.
-            inner = np.vstack([flat[:, drop], np.diag(weight[columns[drop]])])
-            outer = np.vstack([flat[:, keep] / self._slopes, np.zeros((len(drop), n_shared))])
-            reduced = project_out(inner, outer)
-            self.rows.append(reduced[: len(flat)])
-            self.prior_rows.append(reduced[len(flat) :])
-            self.pull = self.pull + self.prior_rows[-1].T @ away[columns[drop]]
+        self.rows, self.prior_rows = rows, prior_rows
         # Errors count once with the slope of a robust loss, not twice.
         apart = [
-            rows.reshape(*error.shape, n_shared) / np.sqrt(gain)[:, None]
-            for rows, error in zip(self.rows, errors, strict=True)
+            one.reshape(*error.shape, one.shape[1]) / np.sqrt(gain)[:, None]
+            for one, error in zip(rows, errors, strict=True)
         ]
-        self.told = Scores(problem.records, apart, list(errors))
+        self.told = Scores(records, apart, list(errors))
 
     @property
     def prior(self) -> np.ndarray:
@@ -304,12 +277,12 @@ class Reduced:
         scores = [np.einsum("tip,ti->p", own, np.nan_to_num(errors)) for own, errors in pairs]
         matrices = [rows.T @ rows for rows in self.rows]
         return sources_of(
-            matrices, scores, self.prior, self.problem.records, gradient=self.gradient(scores)
+            matrices, scores, self.prior, self.told.records, gradient=self.gradient(scores)
         )
 
     def gradient(self, scores: Sequence[np.ndarray]) -> np.ndarray:
         """Slope of the whole, ``(n_shared,)``, with those of the records; zero at an optimum."""
-        return np.zeros(len(self._slopes))
+        return np.zeros(len(self.prior))
 
 
 class ReducedProblem(Reduced):
@@ -327,15 +300,30 @@ class ReducedProblem(Reduced):
 
     def __init__(self, shooting: Shooting, lin: Linearisation, unknowns: np.ndarray) -> None:
         self.shooting = shooting
+        layout, limits = shooting.layout, shooting.limits
+        n_shared, keep = len(layout.shared), layout.n_own + layout.shared
         residuals = [residual / shooting.sigma for residual in lin.residuals]
-        jacobians = [
-            jacobian * (np.isfinite(residual) / shooting.sigma)[:, :, None]
-            for jacobian, residual in zip(lin.jacobians, residuals, strict=True)
-        ]
-        super().__init__(shooting, unknowns, jacobians, *_scores(residuals, shooting.loss))
-        scales = shooting.limits.scale[: len(self._slopes)] * self._slopes
+        scores, gain = _scores(residuals, shooting.loss)
+        # Derivatives by values, of parameters whose logarithm is unknown too.
+        slopes, weight = layout.shared_values(unknowns)[1], np.sqrt(limits.prior_weight)
+        found, prior_rows = [], [np.diag(weight[:n_shared] / slopes)]
+        for index, residual in enumerate(residuals):
+            size = np.isfinite(residual) * np.sqrt(gain) / shooting.sigma
+            jacobian = lin.jacobians[index] * size[:, :, None]
+            flat = jacobian.reshape(-1, jacobian.shape[2])
+            columns = layout.record_columns(index)
+            # What is held explains nothing away.
+            drop = layout.own[~limits.held[columns[layout.own]]]
+            # Priors are rows like measurements; the shared parameters do not enter them.
+            inner = np.vstack([flat[:, drop], np.diag(weight[columns[drop]])])
+            outer = np.vstack([flat[:, keep] / slopes, np.zeros((len(drop), n_shared))])
+            reduced = project_out(inner, outer)
+            found.append(reduced[: len(flat)])
+            prior_rows.append(reduced[len(flat) :])
+        super().__init__(shooting.records, found, prior_rows, scores, gain)
+        scales = limits.scale[:n_shared] * slopes
         jacobian = np.vstack([*self.rows, *self.prior_rows])
-        self.information = Information.from_jacobian(shooting.layout.shared_names, jacobian, scales)
+        self.information = Information.from_jacobian(layout.shared_names, jacobian, scales)
 
     def errors(self, coloured: str, *, weighed: bool) -> Errors:
         """Errors of the shared parameters; of white residuals where they are not ``weighed``.
@@ -575,9 +563,8 @@ class ReducedFilter(Reduced):
 
     With the information ``H`` of all unknowns, start states, per-record parameters and levels ``o``
     are eliminated from that of the shared parameters ``p``,
-    :math:`H_{pp} - H_{po} H_{oo}^{-1} H_{op}`. Derivatives of innovations are those at frozen gain;
-    in them levels of the noise are taken as they are, as mean and variance of an innovation are
-    estimated independently of one another.
+    :math:`H_{pp} - H_{po} H_{oo}^{-1} H_{op}`, and from the derivatives of innovations, which are
+    those at frozen gain.
 
     Parameters
     ----------
@@ -595,35 +582,48 @@ class ReducedFilter(Reduced):
     """
 
     def __init__(self, problem: Filtered, unknowns: np.ndarray, matrix: np.ndarray) -> None:
-        self.filtered, self.unknowns = problem, unknowns
+        self.problem, self.unknowns = problem, unknowns
         layout, limits = problem.layout, problem.limits
         self._matrix = matrix + np.diag(limits.prior_weight)
         shared = np.arange(len(layout.shared))
+        slopes = layout.shared_values(unknowns)[1]
+        others = problem.open_unknowns(len(shared))
+        # How everything follows the values of the shared parameters.
+        onto = np.zeros((len(matrix), len(shared)))
+        onto[shared, shared] = 1.0
+        onto[others] = -share_of(self._matrix, shared, others).T
+        reduced = onto.T @ self._matrix[:, shared]
+        scales = limits.scale[shared] * slopes
+        self.information = Information.from_matrix(
+            layout.shared_names, reduced / slopes[:, None] / slopes, scales
+        )
+        onto /= slopes
+        self._joint = problem.knowledge.information / slopes[:, None] / slopes
+        self._pull = onto.T @ (limits.prior_weight * (limits.prior_mean - unknowns))
         self.passes = problem.passes(unknowns, rows=True)
         self.std = [np.sqrt(np.maximum(part.variances, 1e-300)) for part in self.passes]
-        jacobians, errors = [], []
+        rows, errors = [], []
         for index, part in enumerate(self.passes):
             assert part.rows is not None
+            columns = layout.record_columns(index)
             size = layout.record_slopes(unknowns, index)
-            seen = np.isfinite(part.innovations)[..., None]
             # An innovation falls where the output rises; a gap says nothing.
-            jacobians.append(np.where(seen, -part.rows[..., : len(size)] * size, 0.0))
+            seen = np.isfinite(part.innovations)[..., None]
+            jacobian = np.where(seen, -part.rows[..., : len(columns)], 0.0)
+            rows.append(jacobian.reshape(-1, len(columns)) @ (size[:, None] * onto[columns]))
             errors.append(part.innovations / self.std[index])
-        super().__init__(problem, unknowns, jacobians, errors, np.ones(len(problem.model.outputs)))
-        reduced = eliminate(self._matrix, shared, problem.open_unknowns(len(shared)))
-        by_values = reduced / self._slopes[:, None] / self._slopes
-        scales = limits.scale[shared] * self._slopes
-        self.information = Information.from_matrix(layout.shared_names, by_values, scales)
+        prior_rows = [np.sqrt(limits.prior_weight)[:, None] * onto]
+        gain = np.ones(len(problem.model.outputs))
+        super().__init__(problem.records, rows, prior_rows, errors, gain)
 
     @property
     def prior(self) -> np.ndarray:
         """Information of what is known before, ``(n_shared, n_shared)``."""
-        joint = self.filtered.knowledge.information / self._slopes[:, None] / self._slopes
-        return super().prior + joint
+        return super().prior + self._joint
 
     def gradient(self, scores: Sequence[np.ndarray]) -> np.ndarray:
         """Slope of the whole; scores are approximate, so that it is not zero."""
-        return np.asarray(self.pull + np.sum(scores, axis=0))
+        return np.asarray(self._pull + np.sum(scores, axis=0))
 
     @cached_property
     def peaks(self) -> list[Peak]:
@@ -632,7 +632,7 @@ class ReducedFilter(Reduced):
             np.full(one.shape, np.nan) if record.independent else one
             for record, one in zip(self.told.records, self.told.errors, strict=True)
         ]
-        return clear_peaks(whitened, self.told.records, self.filtered.model.output_names)
+        return clear_peaks(whitened, self.told.records, self.problem.model.output_names)
 
     def errors(self, coloured: str) -> Errors:
         """Errors of the shared parameters.
@@ -662,8 +662,8 @@ class ReducedFilter(Reduced):
     @property
     def level_errors(self) -> dict[str, float]:
         """Standard errors of levels, relative, and of the logarithms of times."""
-        levels, block = self.filtered.levels, self.filtered.layout.levels
-        others = self.filtered.open_unknowns(0)
+        levels, block = self.problem.levels, self.problem.layout.levels
+        others = self.problem.open_unknowns(0)
         where = np.arange(block.start, block.stop)
         reduced = eliminate(self._matrix, where, others[others < block.start])
         variances = np.maximum(np.diag(inverse_of(reduced)), 0.0)
