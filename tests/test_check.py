@@ -45,7 +45,7 @@ from oed_sysid.evidence.check import (
     corrected_copies,
     with_estimates,
 )
-from oed_sysid.evidence.contrasts import contrasts, fitted_law, laws
+from oed_sysid.evidence.contrasts import contrasts, fitted_law, laws, readings
 from oed_sysid.evidence.corrections import as_measured, lagged
 from oed_sysid.evidence.inputs import between_runs, scaled_inputs
 from oed_sysid.evidence.readings import Evidence
@@ -1022,6 +1022,9 @@ def test_six_degrees_of_freedom_follow_from_standard_names() -> None:
     rng = np.random.default_rng(3)
     values = {n: rng.uniform(-0.7, 0.7, 40) for n in names}
     t = np.arange(40.0)
+    # A heading may count from elsewhere; roll and pitch count from the vertical.
+    read = [one.candidate for one in readings([Trace("run", t, values, UNITS)], (*found.values(),))]
+    assert {one.signals for one in read if one.kind == "offset"} == {("psi",)}
     speed = sum(found[n](values, t) ** 2 for n in "xyz")
     assert np.allclose(speed, values["u"] ** 2 + values["v"] ** 2 + values["w"] ** 2)
     # Angular velocity from the angles' rates (Fossen 2021, eq. 2.38, inverted).

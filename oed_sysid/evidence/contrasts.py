@@ -1119,11 +1119,13 @@ def _axes(
     level = (level_axis(r, units, velocities) for r in positions)
     if any(level) and all(trace.values.keys() >= {*velocities} for trace in traces):
         yield Found(Candidate("frame", velocities))
-    if len(positions) > 1:
-        shared = set.intersection(*(set(r.signals) for r in positions))
-        for angle, quarter in product(sorted(n for n in shared if units[n] == "rad"), (1, 2, 3)):
-            turn = Candidate("offset", (angle,), meaning=f"{90 * quarter} deg")
-            yield Found(turn, quarter * math.pi / 2.0)
+    # A heading turns two positions; what other angles depend on counts from the vertical.
+    pairs = combinations(positions, 2)
+    headings = {n for a, b in pairs for n in {*a.signals} & {*b.signals} if units[n] == "rad"}
+    headings -= {n for r in relations if units[r.target] == "rad" for n in r.signals}
+    for angle, quarter in product(sorted(headings), (1, 2, 3)):
+        turn = Candidate("offset", (angle,), meaning=f"{90 * quarter} deg")
+        yield Found(turn, quarter * math.pi / 2.0)
     yield from _quarters(velocities, units)
 
 
