@@ -161,11 +161,19 @@ static ONCE void measure_levels(double *restrict dP, double *restrict dm, int st
     }
 }
 
-/* Steps over which disturbances are held, from one sample to the next. */
-static inline int parts_of_interval(const double *times, double h_sub)
+/* Steps over which disturbances are held in an interval between samples. */
+static inline int parts_of_interval(double interval, double h_sub)
 {
-    const int steps = (int)ceil((times[1] - times[0]) / h_sub - 1e-6);
+    const int steps = (int)ceil(interval / h_sub - 1e-6);
     return steps < 1 ? 1 : steps;
+}
+
+/* Length of the last integration step before sample k. */
+static inline double step_before(const double *times, int n, int k, double h_sub, double h_max)
+{
+    const double interval = interval_before(times, n, k);
+    const double held = interval / parts_of_interval(interval, h_sub);
+    return held / steps_within(held, h_max);
 }
 
 /* Times and inputs at both ends of one of these. */
@@ -413,7 +421,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
     for (int i = 0; i < na; ++i) sensors_remember |= uncertain[i] >= NX + NA;
     for (int k = 0; k < n; ++k) {
         const double *input = inputs + (size_t)k * NU;
-        const double since = k > 0 ? times[k] - times[k - 1] : (n > 1 ? times[1] - times[0] : 1.0);
+        const double since = step_before(times, n, k, h_sub, h_max);
         double check = 0.0;
         for (int i = 0; i < NZ; ++i) check += z[i];
         if (!(fabs(check) < DIVERGED)) return k;
@@ -500,7 +508,8 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
         }
         if (k + 1 >= n) break;
         /* Towards the next sample, in steps over which the disturbances are held. */
-        const int steps = parts_of_interval(times + k, h_sub);
+        const int steps = parts_of_interval(times[k + 1] - times[k], h_sub);
+        const double within = step_before(times, n, k + 1, h_sub, h_max);
         for (int step = 0; step < steps; ++step) {
             const int now = which[2 * k + (step + 1 == steps)];
             if (now != last) {
@@ -515,13 +524,11 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             for (int i = 0; i < na + more; ++i)
                 s[uncertain[i]][i < na ? i : c_passing + i - na] = 1.0;
             /* Sensor memory moves on with what is known after the measurement. */
-            if (NS > 0 && step == 0) {
-                if (sensors_remember)
-                    sample_step(z, s, input, p, times[k], since, y, sy, 1);
-                else /* that of sensors without an error, which nothing reads */
-                    memcpy(z + NX + NA, seen + NX + NA, sizeof(double) * NS);
-            }
-            advance_interval(z, s, inner_times, inner_inputs, p, h_max, 0, 1);
+            if (sensors_remember)
+                sample_step(z, s, inner_inputs, p, inner_times[0], step ? within : since, y, sy, 1);
+            else if (step == 0) /* that of sensors without an error, which nothing reads */
+                memcpy(z + NX + NA, seen + NX + NA, sizeof(double) * NS);
+            advance_interval(z, s, inner_times, inner_inputs, p, h_max, 0, sensors_remember, 1);
             keep_transition(&f, (const row_t *)s, uncertain, place, phi, na, nq, nr);
             if (moves_out) keep_move(moves_out + (size_t)k * block_moves, &f, step, across, Jnext);
             moved(Jnext, &f, n_rows, J, joint);
@@ -603,7 +610,7 @@ int kernel_replay(int n, const double *times, const double *inputs, const double
     let_act(p, nq, q_index, mean + na);
     for (int k = 0; k < n; ++k) {
         const double *input = inputs + (size_t)k * NU;
-        const double since = k > 0 ? times[k] - times[k - 1] : (n > 1 ? times[1] - times[0] : 1.0);
+        const double since = step_before(times, n, k, h_sub, h_max);
         double check = 0.0;
         for (int i = 0; i < NZ; ++i) check += z[i];
         if (!(fabs(check) < DIVERGED)) return k;
@@ -626,13 +633,16 @@ int kernel_replay(int n, const double *times, const double *inputs, const double
         for (int i = 0; i < na; ++i) z[uncertain[i]] += delta[i];
         for (int i = na; i < size; ++i) mean[i] += delta[i];
         if (k + 1 >= n) break;
-        const int steps = parts_of_interval(times + k, h_sub);
+        const int steps = parts_of_interval(times[k + 1] - times[k], h_sub);
+        const double within = step_before(times, n, k + 1, h_sub, h_max);
         for (int step = 0; step < steps; ++step) {
             double inner_times[2], inner_inputs[2 * MAX1(NU)];
             part_of_interval(times + k, input, step, steps, inner_times, inner_inputs);
             let_act(p, nq, q_index, mean + na);
-            if (NS > 0 && step == 0) sample_step(z, NULL, input, p, times[k], since, y, NULL, 0);
-            advance_interval(z, NULL, inner_times, inner_inputs, p, h_max, 0, 0);
+            if (NS > 0)
+                sample_step(z, NULL, inner_inputs, p, inner_times[0], step ? within : since, y,
+                            NULL, 0);
+            advance_interval(z, NULL, inner_times, inner_inputs, p, h_max, 0, NS > 0, 0);
             const int now = which[2 * k + (step + 1 == steps)];
             remember(mean + na, memory + (size_t)now * 3 * nr * nr, nr, delta);
         }

@@ -486,7 +486,7 @@ class InterpretedFilter:
             if not abs(self.z.sum()) < DIVERGED:
                 return k
             self._let_act()
-            y = self.code.sample(self.z, self.record, k, self.values)[0]
+            y = self._sample(k)[0]
             # Corrections of earlier outputs of this sample count for the later ones, to first
             # order.
             delta = np.zeros(self.size)
@@ -589,16 +589,20 @@ class InterpretedFilter:
         """Move the state, and sensitivities ``s``, over one part of the time to the next sample."""
         self._let_act()
         if part[0] == 0:  # sensor memory moves on with what is known after the measurement
-            _, self.z, _, d_after = self.code.sample(self.z, self.record, k, self.values)
+            _, self.z, _, d_after = self._sample(k)
             s = None if s is None else chained(d_after, s)
         self.z, s = self.code.move(self.z, s, self.record, k, self.values, part)
         return s
+
+    def _sample(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Outputs and the state after a measurement, with derivatives."""
+        return self.code.sample(self.z, self.record, k, self.values, self.longest_step)
 
     def _measure(self, k: int, measured: np.ndarray) -> bool:
         """Correct by one sample, one output at a time; whether everything is finite."""
         noise, found, na, m = self.noise, self.found, self.na, self.m
         self._let_act()
-        y, _, dy, _ = self.code.sample(self.z, self.record, k, self.values)
+        y, _, dy, _ = self._sample(k)
         if found.moves is not None:
             found.moves[k, len(self.inside) :] = self.p[na:m][:, self.inside]
         width = self.d_mean.shape[1]

@@ -104,7 +104,7 @@ class Graph:
     def advance(self) -> ca.Function:
         """One integration step ``(z, inputs at start and end, p, t, h) -> z``.
 
-        Sensor memory is left to :attr:`sample`.
+        Sensor memory is left to :attr:`sample`, between two steps as at the samples.
         """
         z, start, end, p, t, h = self._step_symbols()
         if self.model.integrator == "implicit":
@@ -171,7 +171,11 @@ class Graph:
 
     @cached_property
     def sample(self) -> ca.Function:
-        """One measurement ``(z, inputs, p, t, h) -> (y, z with updated sensor memory)``."""
+        """One measurement ``(z, inputs, p, t, h) -> (y, z with updated sensor memory)``.
+
+        Sensor memory takes in every moment between two integration steps, and ``h`` is the length
+        of the last step: what sensors make of a signal is as exact as its integration.
+        """
         z, start, _, p, t, h = self._step_symbols()
         x, memory, sensor = self._split(z)
         signals, _ = self.actuate(memory, start, p, t, h)

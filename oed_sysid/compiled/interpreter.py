@@ -47,13 +47,23 @@ class Interpreted:
         return self._start(own, inputs, values, time)
 
     def sample(
-        self, z: np.ndarray, record: Commands, k: int, values: np.ndarray
+        self, z: np.ndarray, record: Commands, k: int, values: np.ndarray, hold: float = np.inf
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Outputs and state after a measurement, and the derivatives of both ``[d/dz, d/dp]``."""
+        """Outputs and state after a measurement, and the derivatives of both ``[d/dz, d/dp]``.
+
+        Sensor memory has last taken in the beginning of the integration step before, which is none
+        longer than what disturbances are held for.
+        """
         times, inputs = record
         before = max(k, 1)
-        since = times[before] - times[before - 1] if len(times) > 1 else 1.0
+        interval = times[before] - times[before - 1] if len(times) > 1 else 1.0
+        held = interval / max(1, int(np.ceil(interval / hold - 1e-6)))
+        since = held / self._steps(held)
         return self._sample(z, inputs[k], values, times[k], since)
+
+    def _steps(self, interval: float) -> int:
+        """Integration steps of an interval."""
+        return max(1, int(np.ceil(interval / self.step - 1e-9)))
 
     def move(
         self,
@@ -64,18 +74,22 @@ class Interpreted:
         values: np.ndarray,
         part: tuple[int, int] = (0, 1),
     ) -> tuple[np.ndarray, np.ndarray | None]:
-        """State and sensitivities after one of several equal parts of the time to sample k + 1."""
+        """State and sensitivities after one of several equal parts of the time to sample k + 1.
+
+        Sensor memory takes in the beginning of every step but the first, the sample's own.
+        """
         times, inputs = record
         (step, steps), interval = part, times[k + 1] - times[k]
-        inner = max(1, int(np.ceil(interval / steps / self.step - 1e-9)))
+        inner = self._steps(interval / steps)
         change = np.array(self.graph.linear_inputs, dtype=float) * (inputs[k + 1] - inputs[k])
         h = interval / steps / inner
         for j in range(inner):
             begin, end = (step + j / inner) / steps, (step + (j + 1) / inner) / steps
-            t = times[k] + begin * interval
-            z, dz = self._advance(
-                z, inputs[k] + begin * change, inputs[k] + end * change, values, t, h
-            )
+            t, first = times[k] + begin * interval, inputs[k] + begin * change
+            if step + j > 0 and self.graph.n_sensor_memory:
+                _, z, _, dz = self._sample(z, first, values, t, h)
+                s = None if s is None else chained(dz, s)
+            z, dz = self._advance(z, first, inputs[k] + end * change, values, t, h)
             s = None if s is None else chained(dz, s)
         return z, s
 

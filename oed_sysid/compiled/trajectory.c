@@ -349,7 +349,8 @@ static ONCE void advance_step(double *z, row_t *s, const double *start, const do
 
 #endif
 
-/* One measurement; sensor memory in z and s is replaced. */
+/* One measurement, h after the last moment that sensor memory, which is replaced in z and s, took
+ * in. */
 static ONCE void sample_step(double *z, row_t *s, const double *input, const double *p, double t,
                         double h, double *y, row_t *sy, int with_sensitivities)
 {
@@ -388,21 +389,39 @@ static ONCE void sample_step(double *z, row_t *s, const double *input, const dou
     for (int i = 0; i < NS; ++i) z[NX + NA + i] = next[i];
 }
 
-/* From sample k to sample k + 1, in steps no longer than h_max. */
+/* Equal steps of an interval, none longer than h_max. */
+static inline int steps_within(double interval, double h_max)
+{
+    const int steps = (int)ceil(interval / h_max - 1e-9);
+    return steps < 1 ? 1 : steps;
+}
+
+/* The interval that ends at sample k; the first one where there is none. */
+static inline double interval_before(const double *times, int n, int k)
+{
+    return k > 0 ? times[k] - times[k - 1] : (n > 1 ? times[1] - times[0] : 1.0);
+}
+
+/* From sample k to sample k + 1, in steps no longer than h_max. Memory of sensors that has taken in
+ * the first of these moments takes in the others too where it is asked for. */
 static void advance_interval(double *z, row_t *s, const double *times, const double *input,
-                             const double *p, double h_max, int k, int with_sensitivities)
+                             const double *p, double h_max, int k, int remember,
+                             int with_sensitivities)
 {
     const double interval = times[k + 1] - times[k];
     const double *next = input + NU;
-    int steps = (int)ceil(interval / h_max - 1e-9);
-    if (steps < 1) steps = 1;
+    const int steps = steps_within(interval, h_max);
     const double h = interval / steps;
-    double from[MAX1(NU)], to[MAX1(NU)];
+    double from[MAX1(NU)], to[MAX1(NU)], y[MAX1(NY)];
+    SCRATCH row_t sy[MAX1(NY)];
     for (int i = 0; i < steps; ++i) {
         if (ANY_LINEAR_INPUT) {
             inputs_between(input, next, (double)i / steps, from);
             inputs_between(input, next, (double)(i + 1) / steps, to);
         }
+        if (remember && i > 0)
+            sample_step(z, s, ANY_LINEAR_INPUT ? from : input, p, times[k] + i * h, h, y, sy,
+                        with_sensitivities);
         advance_step(z, s, ANY_LINEAR_INPUT ? from : input, ANY_LINEAR_INPUT ? to : next, p,
                      times[k] + i * h, h, with_sensitivities);
     }
@@ -464,7 +483,8 @@ int kernel_run(int n, const double *times, const double *inputs, const double *p
         }
         for (int k = first; k < stop; ++k) {
             const double *input = inputs + (size_t)k * NU;
-            const double since = k > 0 ? times[k] - times[k - 1] : (n > 1 ? times[1] - times[0] : 1.0);
+            const double before = interval_before(times, n, k);
+            const double since = before / steps_within(before, h_max);
             double check = 0.0;
             for (int i = 0; i < NZ; ++i) check += z[i];
             if (!(fabs(check) < DIVERGED)) return k;
@@ -475,7 +495,7 @@ int kernel_run(int n, const double *times, const double *inputs, const double *p
                 if (dy_out) copy_rows(dy_out + (size_t)k * NY * COLUMNS, (const row_t *)sy, NY);
             }
             if (k + 1 >= n) break;
-            advance_interval(z, s, times, input, p, h_max, k, with_sensitivities);
+            advance_interval(z, s, times, input, p, h_max, k, NS > 0, with_sensitivities);
         }
         if (ends) memcpy(ends + (size_t)segment * NZ, z, sizeof(double) * NZ);
         if (dends) copy_rows(dends + (size_t)segment * NZ * COLUMNS, (const row_t *)s, NZ);
@@ -532,7 +552,8 @@ int kernel_gather(int n, const double *times, const double *inputs, const double
         memset(sum, 0, sizeof sum);
         for (int k = first; k < stop; ++k) {
             const double *input = inputs + (size_t)k * NU;
-            const double since = k > 0 ? times[k] - times[k - 1] : (n > 1 ? times[1] - times[0] : 1.0);
+            const double before = interval_before(times, n, k);
+            const double since = before / steps_within(before, h_max);
             double check = 0.0;
             for (int i = 0; i < NZ; ++i) check += z[i];
             if (!(fabs(check) < DIVERGED)) return k;
@@ -540,7 +561,7 @@ int kernel_gather(int n, const double *times, const double *inputs, const double
             gather_sample(sum, (const row_t *)sy, y, measured + (size_t)k * NY, weight);
             /* Where a segment ends for good, nothing asks for what follows its last sample. */
             if (k + 1 >= n || (k + 1 == stop && !ends)) break;
-            advance_interval(z, s, times, input, p, h_max, k, 1);
+            advance_interval(z, s, times, input, p, h_max, k, NS > 0, 1);
         }
         double *block = gram + (size_t)segment * NG * NG;
         for (int a = 0; a < NG; ++a) memcpy(block + a * NG, sum[a], sizeof(double) * NG);

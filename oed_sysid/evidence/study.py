@@ -216,8 +216,6 @@ class Study:
         order = {effect.name: i for i, effect in enumerate(self.candidates)}
         # In the order of the filter's full state.
         model = self.base + sorted(effects, key=lambda e: order.get(e.name, len(order)))
-        # Delays of actuators reach as far as they were made for with no shorter steps.
-        step = max(step, model.shortest_step)
         if step < model.step:
             model = replace(model, step=step)
         # A logarithm that ends at a bound misses it by rounding.

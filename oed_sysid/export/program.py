@@ -15,7 +15,8 @@ slopes     states, signals, p, t       derivatives of the rates by the
 =========  ==========================  ==================================
 
 and what a language adds is the loop around them: a step of the Runge-Kutta method, steps no longer
-than ``step`` between two samples, measurements at the samples.
+than ``step`` between two samples, measurements at the samples; memory of sensors takes in the
+beginning of every step.
 
 Elementary operations as they are written in C, Python, MATLAB and SymPy.
 """

@@ -6,7 +6,8 @@ is needed.
 CasADi functions as files that any CasADi of the same or a later version loads.
 
 ``rates``, ``actuate``, ``observe`` and ``start`` are those of the model; ``advance`` is one
-integration step and ``sample`` one measurement. ``model.json`` has names, values and covariance.
+integration step and ``sample`` one measurement, which sensors with memory take between any two
+steps. ``model.json`` has names, values and covariance.
 
 A linear model for python-control, about a trim.
 

@@ -72,7 +72,8 @@ class Memory:
     initial : str
         Value before the first step.
     shortest : float
-        Shortest step, s, for which an actuator's memory is long enough; zero where any is.
+        Of a register of past values, the shortest step, s, for which it is long enough: a model
+        divides it by its own (:func:`oed_sysid.physics.registers.refined`). Zero where any is.
 
     Examples
     --------

@@ -20,6 +20,7 @@ from oed_sysid.errors import ModelError
 from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.parameters import Parameter, changed
+from oed_sysid.physics.registers import refined
 from oed_sysid.physics.structure import Structure, settle_parts, validate
 from oed_sysid.runtime.display import as_html
 from oed_sysid.text import callables, expressions
@@ -95,6 +96,8 @@ class Model(Structure):
     def __post_init__(self) -> None:
         settle_parts(self)
         validate(self)
+        effects = tuple(refined(effect, self.step) for effect in self.effects)
+        object.__setattr__(self, "effects", effects)
 
     @classmethod
     def from_casadi(
@@ -308,12 +311,6 @@ class Model(Structure):
             for effect in self.effects
             if effect.stage == stage and signal in effect.terms
         ]
-
-    @property
-    def shortest_step(self) -> float:
-        """Shortest integration step that the delays of actuators were made for, s; often zero."""
-        kept = (m for effect in self.effects if effect.stage == "actuator" for m in effect.memory)
-        return max((memory.shortest for memory in kept), default=0.0)
 
     # -- identity ------------------------------------------------------------------
 

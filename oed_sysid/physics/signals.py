@@ -2,16 +2,17 @@
 
 Commands are held between samples, and the value handed on is the mean over the integration step;
 lag, delay and rate limit are exact in this sense, so that they are smooth functions of their
-parameter and exactly absent at zero. Lag, delay, rate limit, dead band and backlash take one
-signal or several that share the parameter, such as the fins of one make.
+parameter and exactly absent at zero. Sensors see the motion where every step begins, and lines in
+between. What remembers goes on by integration steps, so that shorter ones make its error as small
+as that of the motion. Lag, delay, rate limit, dead band and backlash take one signal or several
+that share the parameter, such as the fins of one make.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
-from oed_sysid.physics import table
+from oed_sysid.physics import registers, table
 from oed_sysid.physics.base import Actuator, Memory, Sensor, amplitude
 
 # Rows of a table: laid out to be read as such.
@@ -64,9 +65,9 @@ def actuator_lag(name: str, signal: str | Sequence[str], *, scale: float = 0.25,
 @table.row(Actuator)
 def actuator_delay(name: str, signal: str | Sequence[str], *, max_delay: float = 1.0,
                    step: float = 0.1, scale: float = 0.2, value: float = 0.0) -> table.Derived:
-    """Pure delay of ``E`` seconds; ``step`` is the shortest integration step.
+    """Pure delay of ``E`` seconds; ``step`` is the shortest time between two samples.
 
-    See :func:`~oed_sysid.physics.signals.delay_register`.
+    A model whose integration steps are shorter divides it.
     """
     return _late(name, table.channels(signal), max_delay, step, scale, value)
 
@@ -163,18 +164,17 @@ def sensor_lever_arm(name: str, output: str, rate: str, *, scale: float = 0.3,
 @table.row(Sensor)
 def sensor_lag(name: str, outputs: str | Sequence[str], *, scale: float = 0.3,
                value: float = 0.0) -> None:
-    """First-order lag of one or several outputs, exact for signals linear between samples.
+    """First-order lag of one or several outputs, exact for signals linear within a step.
 
-    Of one that curves between samples ``h`` apart the estimate is low by about :math:`h^2/(12 E)`,
-    2 % of a lag of two samples and 0.1 % of one of nine, which long records resolve. Record ten
-    samples in a lag where that matters.
+    Of one that curves within an integration step ``h`` the estimate is low by some
+    :math:`h^2/(12 E)`; a fit takes finer steps where that moves an estimate.
     """
 
 
 @table.row(Sensor)
 def sensor_delay(name: str, output: str, *, max_delay: float = 1.0, interval: float = 0.1,
                  scale: float = 0.2, value: float = 0.0) -> table.Derived:
-    """Late measurement, interpolated between samples a regular ``interval`` apart."""
+    """Late measurement of samples a regular ``interval`` apart, interpolated between steps."""
     return _late(name, (output,), max_delay, interval, scale, value)
 
 
@@ -187,64 +187,6 @@ def sensor_drift(name: str, output: str, unit: str, *, scale: float, value: floa
 def _late(
     name: str, signals: Sequence[str], longest: float, step: float, scale: float, value: float
 ) -> table.Derived:
-    """Amplitude, terms and memory of signals that come late by the same time."""
+    """Amplitude of signals that come late by the same time, and their registers."""
     delay = amplitude(name, "s", scale=scale, value=value, positive=True, bound=longest)
-    terms: dict[str, str] = {}
-    memory: list[Memory] = []
-    for signal in signals:
-        prefix = "past" if len(signals) == 1 else f"past_{signal}"
-        terms[signal], past = _delay_register(
-            signal, delay.name, max_delay=longest, step=step, prefix=prefix
-        )
-        memory += past
-    return {"E": delay, "terms": terms, "memory": tuple(memory)}
-
-
-def _delay_register(
-    signal: str, delay: str, *, max_delay: float, step: float, prefix: str = "past"
-) -> tuple[str, tuple[Memory, ...]]:
-    """Delayed value of a sampled signal and the memory that it needs, a shift register.
-
-    The value is a mean of present and past samples with hat functions of
-    ``delay/h`` as weights: the exact mean over a step of a delayed held command,
-    and the interpolation of a delayed measurement. Where two slopes meet in a
-    corner the right one is taken, so that the derivative at zero is that of
-    more delay. A delay longer than the register counts as the register's length.
-
-    Parameters
-    ----------
-    signal : str
-        Name of the signal; at the start, all past values equal its first one.
-    delay : str
-        Name of the delay, in s.
-    max_delay : float
-        Longest delay, in s.
-    step : float
-        Shortest time between two samples, in s.
-    prefix : str
-        First part of the names of the past values.
-
-    Returns
-    -------
-    value : str
-        Expression of the delayed value.
-    memory : tuple of Memory
-        One past value for each step of ``max_delay``.
-
-    Examples
-    --------
-    >>> value, memory = _delay_register("d", "E", max_delay=0.1, step=0.1)
-    >>> value, memory[0].update
-    ('where(E < h, 1 - E/h, 0)*d + where(E < 1*h, E/h, 1)*past_1', 'd')
-    """
-    past = [f"{prefix}_{i}" for i in range(1, math.ceil(max_delay / step - 1e-9) + 1)]
-    pieces = [f"where({delay} < h, 1 - {delay}/h, 0)*{signal}"]
-    for i, name in enumerate(past, start=1):
-        rise = f"where({delay} < {i - 1}*h, 0, {delay}/h - {i - 1})" if i > 1 else f"{delay}/h"
-        fall = f"where({delay} < {i + 1}*h, {i + 1} - {delay}/h, 0)" if i < len(past) else "1"
-        pieces.append(f"where({delay} < {i}*h, {rise}, {fall})*{name}")
-    newer = [signal, *past[:-1]]
-    memory = tuple(
-        Memory(own, update, signal, step) for own, update in zip(past, newer, strict=True)
-    )
-    return " + ".join(pieces), memory
+    return {"E": delay, **registers.register(signals, delay.name, longest, step)}

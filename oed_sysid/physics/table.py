@@ -137,7 +137,7 @@ class Row(Generic[Kind]):
             arguments["name"],
             _filled(known.get("terms", self.terms), scopes),
             tuple(parameters.values()),
-            definitions=_filled(self.definitions, scopes),
+            definitions=known.get("definitions", _filled(self.definitions, scopes)),
             states=tuple(ExtraState(*_formatted(state, known)) for state in self.states),
             memory=known.get("memory", memory),
             tables=known.get("tables", {}),

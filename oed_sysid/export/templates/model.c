@@ -38,6 +38,13 @@ static void between(const double *from, const double *to, double fraction, doubl
 
 $advance
 
+/* Equal steps of an interval, none longer than STEP. */
+static int steps_within(double interval)
+{
+    const int steps = (int)ceil(interval / ${upper}_STEP - 1e-9);
+    return steps < 1 ? 1 : steps;
+}
+
 void ${name}_start(const double *own, const double *u, const double *p, double t, double *z)
 {
     start(own, u, p, t, z);
@@ -47,6 +54,7 @@ void ${name}_measure(double *z, const double *u, const double *p, double t, doub
                      int remember)
 {
     double d[MAX1(ND)], discard[MAX1(NA)], next[MAX1(NS)];
+    h /= steps_within(h); /* sensors last took in the beginning of the step before */
     actuate(z + NX, u, p, t, h, d, discard);
     observe(z, d, z + NX + NA, p, t, h, y, next);
     if (remember)
@@ -63,13 +71,13 @@ void ${name}_rates(const double *z, const double *u, const double *p, double t, 
 void ${name}_advance(double *z, const double *u, const double *u_end, const double *p, double t,
                      double interval)
 {
-    int steps = (int)ceil(interval / ${upper}_STEP - 1e-9);
-    if (steps < 1) steps = 1;
+    const int steps = steps_within(interval);
     const double h = interval / steps;
-    double from[MAX1(NU)], to[MAX1(NU)];
+    double from[MAX1(NU)], to[MAX1(NU)], y[MAX1(NY)];
     for (int i = 0; i < steps; ++i) {
         between(u, u_end, (double)i / steps, from);
         between(u, u_end, (double)(i + 1) / steps, to);
+        if (NS > 0 && i > 0) ${name}_measure(z, from, p, t + i * h, h, y, 1);
         one_step(z, from, to, p, t + i * h, h);
     }
 }

@@ -35,7 +35,7 @@ extern const double ${name}_covariance[];         /* of the estimated ones, row 
 void ${name}_start(const double *own, const double *u, const double *p, double t, double *z);
 
 /* Outputs at time t; h is the time since the last measurement. With remember, sensors with memory
- * take the measurement in, once per sample. */
+ * take the measurement in, once per sample; between samples advance has them take in each step. */
 void ${name}_measure(double *z, const double *u, const double *p, double t, double h, double *y,
                      int remember);
 
