@@ -66,18 +66,19 @@ def test_memory_moves_as_in_a_simulation_with_error_control(interpolation: str) 
         inputs={"fin": commands, "thrust": 9.0}, initial=start,
     )  # fmt: skip
     state, fin, depth, expected = start, commands[0], start[4], [start[2:]]
-    fades, slow = np.exp(-step / 0.3), np.exp(-0.2 / 0.5)
+    fades, slow = np.exp(-step / 0.3), np.exp(-step / 0.5)
     share = 0.3 / step * (1 - fades)
     for command, change in zip(commands, np.diff(commands), strict=False):
-        before, slope = state[4], (interpolation == "linear") * change / 0.2
+        slope = (interpolation == "linear") * change / 0.2
         for begin in command + slope * step * np.arange(4):
             acts = begin + (fin - begin) * share, slope * (1 - share)
             order = begin + slope * step / 2
             fin = order + (fin - order) * fades
             path = solve_ivp(moving, (0.0, step), state, args=acts, rtol=1e-9, atol=1e-11)
-            state = path.y[:, -1]
-        behind = 0.5 * (state[4] - before) / 0.2
-        depth = state[4] - behind + (depth - before + behind) * slow
+            before, state = state[4], path.y[:, -1]
+            # Within a step the depth is linear, and the sensor follows it with a lag.
+            behind = 0.5 * (state[4] - before) / step
+            depth = state[4] - behind + (depth - before + behind) * slow
         expected.append(np.array([state[2], state[3], depth]))
     np.testing.assert_allclose(run.outputs, expected, atol=3e-6)
 
