@@ -18,11 +18,14 @@ from oed_sysid import (
     State,
 )
 from oed_sysid.evidence.claim import Claim, own_error
+from oed_sysid.evidence.improve import _ended
 from oed_sysid.evidence.rank import rank
 from oed_sysid.evidence.remainder import Remains
 from oed_sysid.evidence.search import Added, Ended, Search, Standing, not_astray, with_waves
 from oed_sysid.evidence.study import Study
+from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.laws import Law
+from oed_sysid.likelihood.random_forces import begun
 from oed_sysid.physics import actuator_lag
 from oed_sysid.runtime.journal import Journal
 
@@ -148,3 +151,19 @@ def test_a_swell_is_found_that_the_noise_of_a_sensor_had_taken() -> None:
     plain = MultipleShooting().fit(ROLLING, data)
     posed = study.polished(found.fit)
     assert study.result(posed, "").log_likelihood > plain.log_likelihood - 1.0
+
+
+def test_the_last_steps_do_not_return_worse_whole_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the optimum of the filter as it is predicts worse, what the search reached stays."""
+    study, base = Study.begin(SHIP, turns(5, 0.05), turns(6, 0.05), (), known_noise=False)
+    unknowns = base.point.unknowns.copy()
+    unknowns[:2] *= 2.0
+    worse = FilteredSolution(begun(base.problem, unknowns), 1, "converged")
+    better = study.polished(base)
+    assert study.validation is not None
+    assert own_error(study, worse, study.validation) > 2.0 * own_error(
+        study, base, study.validation
+    )
+    assert _ended(study, base).point.unknowns == pytest.approx(better.point.unknowns)
+    monkeypatch.setattr(Study, "polished", lambda self, fit: worse)
+    assert _ended(study, base) is base
