@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -22,6 +22,7 @@ from oed_sysid.compiled.filtering import (
     FORCE_VARIANCE,
     SEA_DAMPING,
     SEA_PERIOD,
+    SEA_PHASE,
     SEA_VARIANCE,
     WHITE_VARIANCE,
     Along,
@@ -109,6 +110,7 @@ AUV_SEA = replace(
     damping=np.array([0.0, 0.0, 0.0, 0.15, 0.15, 0.4]),
     turn=np.array([0, 0, 0, -1, -1, 1]),
     sea=np.array([-1, -1, -1, 0, 0, 1]),
+    phase=np.nan,
 )
 SEA_LEVELS = (
     *EVERY_LEVEL,
@@ -120,6 +122,7 @@ SEA_LEVELS = (
     (SEA_PERIOD, 1),
     (SEA_DAMPING, 1),
 )
+AUV_WAVE = replace(AUV_SEA, phase=np.array([np.nan, np.nan, np.nan, 0.3, 2.0, np.nan]))
 SHARED_TIMES = ((FORCE_VARIANCE, 1), (FORCE_TIME, -1), (COLOUR_VARIANCE, 1), (COLOUR_TIME, -1))
 
 
@@ -131,8 +134,9 @@ SHARED_TIMES = ((FORCE_VARIANCE, 1), (FORCE_TIME, -1), (COLOUR_VARIANCE, 1), (CO
         (AUV_NOISE, SHARED_TIMES),
         (AUV_SEA, ()),
         (AUV_SEA, SEA_LEVELS),
+        (AUV_WAVE, (*SEA_LEVELS, (SEA_PHASE, 1))),
     ],
-    ids=["none", "own", "shared", "seas", "levels of seas"],
+    ids=["none", "own", "shared", "seas", "levels of seas", "one wave"],
 )
 @pytest.mark.parametrize("longest_step", [None, 0.06], ids=["samples", "sub-steps"])
 def test_compiled_filter_is_the_interpreted_one(
@@ -216,7 +220,7 @@ def ship_noise(**changes: object) -> Disturbed:
         np.array([0.003]) ** 2,
         np.array([0.7]),
     )
-    return replace(noise, **changes)  # type: ignore[arg-type]
+    return replace(noise, **{"phase": np.nan, **changes})  # type: ignore[arg-type]
 
 
 def test_a_filter_of_all_candidates_serves_each_smaller_model() -> None:
@@ -264,31 +268,57 @@ def linear_pass(noise: Disturbed, own: np.ndarray = START, **options: object) ->
 
 
 def remembered(
-    noise: Disturbed, j: int, starts: np.ndarray, lengths: Sequence[float]
+    noise: Disturbed, i: int, j: int, starts: np.ndarray, lengths: Sequence[float]
 ) -> np.ndarray:
-    """Autocorrelation of what acts over steps: the value at their start, of a sea the mean.
+    """Correlation of what acts over steps: the value at their start, of a sea the mean.
 
-    That of a force of second order is as textbooks of vibration have it.
+    That of a force of second order is as textbooks of vibration have it. Parts of one wave are sums
+    of the force and its quadrature: of a displacement, and its rate with the sign turned; of a
+    velocity, and the displacement.
     """
-    age = np.abs(np.subtract.outer(starts, starts))
+    age = np.subtract.outer(starts, starts)
     if noise.turn[j] == 0:
-        return np.exp(-age / max(noise.time[j], 1e-9))
+        return (i == j) * np.exp(-np.abs(age) / max(noise.time[j], 1e-9))
+    same_wave = np.isfinite(noise.phase[[i, j]]).all() and noise.sea[i] == noise.sea[j]
+    if i != j and not same_wave:
+        return np.zeros(age.shape)
+    z, frequency = noise.damping[j], 2 * np.pi / noise.time[j]
+    root = np.sqrt(1 - z**2)
 
-    def correlation(age: np.ndarray) -> np.ndarray:
-        z, angle = noise.damping[j], 2 * np.pi / noise.time[j] * np.abs(age)
-        root = np.sqrt(1 - z**2)
-        wave = np.cos(angle * root) + noise.turn[j] * z / root * np.sin(angle * root)
-        return np.exp(-z * angle) * wave
+    def same(turn: float) -> Callable[[np.ndarray], np.ndarray]:
+        def correlation(later: np.ndarray) -> np.ndarray:
+            angle = frequency * np.abs(later)
+            wave = np.cos(angle * root) + turn * z / root * np.sin(angle * root)
+            return np.exp(-z * angle) * wave
+
+        return correlation
+
+    def across(later: np.ndarray) -> np.ndarray:
+        """Of the force with its quadrature some time later: minus the slope of a displacement's."""
+        angle = frequency * np.abs(later)
+        return np.sign(later) * np.exp(-z * angle) * np.sin(angle * root) / root
 
     nodes, weights = np.polynomial.legendre.leggauss(12)
     nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
     points = np.add.outer(starts, np.zeros(12)) + np.outer(lengths, nodes)
     apart = np.subtract.outer(points, points)  # (step, node, step, node)
-    found = np.einsum("m,imjn,n->ij", weights, correlation(apart), weights)
-    # Within a step the distance has a kink, which its own distribution has not.
-    own = correlation(np.outer(lengths, nodes)) @ (2.0 * weights * (1.0 - nodes))
-    np.fill_diagonal(found, own)
-    return found / np.sqrt(np.outer(own, own))
+
+    def of_means(correlation: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        found = np.einsum("m,imjn,n->ij", weights, correlation(apart), weights)
+        # Within a step the distance has a kink, which its own distribution has not.
+        both = correlation(np.outer(lengths, nodes)) + correlation(-np.outer(lengths, nodes))
+        np.fill_diagonal(found, both @ (weights * (1.0 - nodes)))
+        return found
+
+    force, quadrature = of_means(same(noise.turn[j])), of_means(same(-noise.turn[j]))
+    # Row is a time, column another: of the column's quadrature with the row's force.
+    mixed = of_means(lambda later: across(-later))
+    one, other = np.sqrt(np.diag(force)), np.sqrt(np.diag(quadrature))
+    force, quadrature = force / np.outer(one, one), quadrature / np.outer(other, other)
+    mixed = mixed / np.outer(one, other)
+    phase = np.nan_to_num(noise.phase[[i, j]])  # without one, a force of its own
+    (c, d), (s, t) = np.cos(phase), np.sin(phase)
+    return c * d * force + s * t * quadrature + c * t * mixed + s * d * mixed.T
 
 
 def dense(noise: Disturbed) -> tuple[float, float]:
@@ -329,11 +359,12 @@ def joint(noise: Disturbed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     full = np.array([responses[i] for i in ends]).reshape(len(times) * 2, len(starts), 2)
     covariance = np.zeros((len(full), len(full)))
     across = np.zeros((len(times) - 1, len(noise.disturbances), len(full)))
-    for j, name in enumerate(noise.disturbances):
-        column = full[:, :, SHIP_FORCES.index(name)]
-        memory = noise.variance[j] * remembered(noise, j, np.array(starts), lengths)
-        covariance += column @ memory @ column.T
-        across[:, j] = (memory @ column.T)[ends[:-1]]
+    columns = [full[:, :, SHIP_FORCES.index(name)] for name in noise.disturbances]
+    size = np.sqrt(noise.variance)
+    for (i, one), (j, other) in product(enumerate(columns), repeat=2):
+        memory = size[i] * size[j] * remembered(noise, i, j, np.array(starts), lengths)
+        covariance += one @ memory @ other.T
+        across[:, i] += (memory @ other.T)[ends[:-1]]
     between = np.abs(np.subtract.outer(times, times))
     for i, output in enumerate(noise.coloured):
         coloured = noise.colour_variance[i] * np.exp(-between / noise.colour_time[i])
@@ -344,9 +375,13 @@ def joint(noise: Disturbed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return covariance[np.ix_(seen, seen)], residual[seen], across[..., seen]
 
 
-def ship_sea(turn: int = -1) -> Disturbed:
-    """Two seas beside the forces: one in both places, one of the other shape on top of it."""
+def ship_sea(turn: int = -1, phase: tuple[float, float] = (np.nan, np.nan)) -> Disturbed:
+    """Two seas beside the forces: one in both places, one of the other shape on top of it.
+
+    The first may be one wave, of which each place has a part with a phase.
+    """
     return ship_noise(
+        phase=np.array([np.nan, np.nan, *phase, np.nan]),
         disturbances=(*SHIP_FORCES, *SHIP_FORCES, SHIP_FORCES[0]),
         variance=np.array([0.02, 0.1, 0.03, 0.05, 0.02]) ** 2,
         time=np.array([1.0, 3.0, 2.5, 2.5, 6.0]),
@@ -364,9 +399,10 @@ FORCES_AND_COLOURS = [
 
 
 SMOOTHED = [FORCES_AND_COLOURS[2], FORCES_AND_COLOURS[3], ship_sea(-1), ship_sea(1)]
+WAVES = [ship_sea(-1, (0.0, 1.9)), ship_sea(1, (0.4, -1.1))]
 
 
-@pytest.mark.parametrize("noise", [*FORCES_AND_COLOURS, ship_sea(-1), ship_sea(1)])
+@pytest.mark.parametrize("noise", [*FORCES_AND_COLOURS, ship_sea(-1), ship_sea(1), *WAVES])
 def test_likelihood_is_that_of_the_joint_normal_distribution(noise: Disturbed) -> None:
     """On a linear model log determinant and square equal those of a dense covariance to 1e-8.
 
@@ -379,7 +415,7 @@ def test_likelihood_is_that_of_the_joint_normal_distribution(noise: Disturbed) -
     assert found.objective == pytest.approx(determinant + square, rel=1e-8)
 
 
-@pytest.mark.parametrize("noise", SMOOTHED)
+@pytest.mark.parametrize("noise", [*SMOOTHED, *WAVES])
 def test_smoothed_disturbances_are_those_of_the_joint_normal_distribution(noise: Disturbed) -> None:
     """Expectation and standard error of every disturbance equal those of conditioning at once."""
     found = linear_pass(noise, gains=True, moves=True)
@@ -394,7 +430,7 @@ def test_smoothed_disturbances_are_those_of_the_joint_normal_distribution(noise:
     np.testing.assert_allclose(path.std[:-1], np.sqrt(noise.variance - told), rtol=1e-6)
 
 
-@pytest.mark.parametrize("noise", SMOOTHED)
+@pytest.mark.parametrize("noise", [*SMOOTHED, *WAVES])
 def test_departures_from_all_others_are_those_of_the_normal_distribution(noise: Disturbed) -> None:
     r"""With their joint covariance ``C`` it is :math:`(C^{-1} y)_i (C^{-1})_{ii}^{-1/2}`."""
     found = linear_pass(noise, gains=True, moves=True)
@@ -486,7 +522,13 @@ LEVELS = (
     (SEA_DAMPING, 0),
     (SEA_DAMPING, 1),
 )
+# Of one wave in both places besides: with the phase of the second.
+LEVELS_AT_SEA = [(ship_sea(), LEVELS, one) for one in range(len(LEVELS))]
+LEVELS_AT_SEA += [
+    (WAVES[k], (*LEVELS, (SEA_PHASE, 1)), one) for k in (0, 1) for one in (7, 9, 11, 13)
+]
 NAMES = {
+    SEA_PHASE: "phase",
     FORCE_VARIANCE: "variance",
     FORCE_TIME: "time",
     WHITE_VARIANCE: "white",
@@ -502,7 +544,7 @@ VARIANCES = (FORCE_VARIANCE, WHITE_VARIANCE, COLOUR_VARIANCE, SEA_VARIANCE)
 def positions(noise: Disturbed, level: tuple[int, int]) -> np.ndarray:
     """Entries of an array of the noise that a level moves."""
     kind, index = level
-    if kind == SEA_VARIANCE:
+    if kind in (SEA_VARIANCE, SEA_PHASE):
         return np.array([2 + index])
     if kind in (SEA_PERIOD, SEA_DAMPING):
         return np.flatnonzero(noise.sea == index)
@@ -514,20 +556,25 @@ def positions(noise: Disturbed, level: tuple[int, int]) -> np.ndarray:
 def shifted(noise: Disturbed, level: tuple[int, int], by: float) -> Disturbed:
     """Noise with one variance moved by a share of itself, or one time by a factor."""
     array, where = getattr(noise, NAMES[level[0]]).copy(), positions(noise, level)
-    array[where] = array[where] * (1 + by if level[0] in VARIANCES else np.exp(by))
+    if level[0] == SEA_PHASE:
+        array[where] += by
+    else:
+        array[where] = array[where] * (1 + by if level[0] in VARIANCES else np.exp(by))
     return replace(noise, **{NAMES[level[0]]: array})
 
 
-@pytest.mark.parametrize("position", range(len(LEVELS)))
-def test_tangents_of_levels_are_exact_on_a_linear_model(position: int) -> None:
+@pytest.mark.parametrize(("noise", "levels", "position"), LEVELS_AT_SEA)
+def test_tangents_of_levels_are_exact_on_a_linear_model(
+    noise: Disturbed, levels: tuple[tuple[int, int], ...], position: int
+) -> None:
     """Slope of the likelihood, of every innovation and of its variance equal differences."""
-    noise, level, size = ship_sea(), LEVELS[position], 1e-4
-    found = linear_pass(noise, levels=LEVELS, rows=True)
+    level, size = levels[position], 1e-4
+    found = linear_pass(noise, levels=levels, rows=True)
     up, down = (linear_pass(shifted(noise, level, sign * size)) for sign in (1, -1))
     # Tangents are by the variance itself, differences by a share of it.
     own = getattr(noise, NAMES[level[0]])[positions(noise, level)]
     unit = own[0] if level[0] in VARIANCES else 1.0
-    n_columns = found.gram.shape[0] - 1 - len(LEVELS)
+    n_columns = found.gram.shape[0] - 1 - len(levels)
     slope = found.level_slope[position] + found.gram[n_columns + position, -1]
     expected = 0.5 * (up.objective - down.objective) / (2 * size * unit)
     assert slope == pytest.approx(expected, rel=1e-6)
@@ -538,7 +585,7 @@ def test_tangents_of_levels_are_exact_on_a_linear_model(position: int) -> None:
     tangent = found.rows[:, :, n_columns + position]
     np.testing.assert_allclose(tangent[seen], moved[seen], atol=1e-6 * np.nanmax(np.abs(moved)))
     grown = np.log(up.variances / down.variances) / (2 * size * unit)
-    q = found.rows[:, :, n_columns + len(LEVELS) + position]
+    q = found.rows[:, :, n_columns + len(levels) + position]
     np.testing.assert_allclose(q[seen], grown[seen], atol=1e-6 * np.abs(grown).max())
     assert found.level_information[position, position] == pytest.approx(
         0.5 * np.sum(grown[seen] ** 2), rel=1e-6

@@ -34,7 +34,7 @@ from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import SHAPES, Levels, NoiseModel
 from oed_sysid.likelihood.projection import gain_within
 from oed_sysid.likelihood.random_forces import threshold
-from oed_sysid.likelihood.realisation import drawn_disturbances, narrow_band_force
+from oed_sysid.likelihood.realisation import drawn_disturbances, forces_of_sea
 from oed_sysid.likelihood.score_test import Scored, Setting, moved, posed
 from oed_sysid.physics import Parameter, wave_force
 from oed_sysid.physics.channels import Channels, Input, Output
@@ -195,7 +195,7 @@ def test_a_drawn_sea_has_the_spectrum_of_its_resonator(shape: str) -> None:
     rng = np.random.default_rng(3)
     times = 0.25 * np.arange(1024)
     window = np.hanning(len(times))
-    drawn = [window * narrow_band_force(2.0, sea, times, rng) for _ in range(60)]
+    drawn = [window * forces_of_sea(sea, times, rng)[:, 0] for _ in range(60)]
     power = np.mean(np.abs(np.fft.rfft(drawn)) ** 2, axis=0) / np.sum(window**2)
     w, w0, z = 2 * np.pi * np.fft.rfftfreq(len(times), 0.25), 2 * np.pi / 8.0, 0.15
     shaped = w**2 if shape == "velocity" else w0**2

@@ -3,9 +3,8 @@
  * Included after trajectory.c, compiled with SELECT. Of the full state, na components are
  * uncertain ("uncertain"); behind them stand nq disturbances, each held over a step and acting
  * through a parameter of the model, ncol coloured sensor errors, and the further states of those
- * disturbances that are narrow-band: nr random components in all, whose transitions phi the caller
- * gives for every length of a step. In the basis of these the stationary covariance D is diagonal,
- * so that their fresh noise is D - phi D phi'. With
+ * disturbances that are narrow-band: nr random components in all, of stationary covariance D, whose
+ * transitions phi the caller gives for every length of a step: D - phi D phi' joins over it. With
  *
  *   x- = F(x+), P- = F P F' + Q;  S = h'P h + r, g = P h, x+ = x- + g e/S, P+ = P - g g'/S
  *
@@ -55,14 +54,14 @@ static inline void add_products(double *restrict gram, const double *restrict ro
 #define PROCESSES 4
 
 /* States of one disturbance, at most, and random components in all. */
-#define STATES 5
+#define STATES 6
 #define RANDOM (STATES * PROCESSES * NF + NY)
 
 /* A row of measurement derivatives is mostly zero: its other entries, n of them. */
 typedef struct {
     int n;
-    int index[NZ + PROCESSES * NF + NY + 1];
-    double value[NZ + PROCESSES * NF + NY + 1];
+    int index[NZ + RANDOM + 1];
+    double value[NZ + RANDOM + 1];
 } sparse_t;
 
 static inline double dot_sparse(const sparse_t *h, const double *vector)
@@ -187,17 +186,6 @@ static inline void part_of_interval(const double *times, const double *input, in
     inputs_between(input, input + NU, step + 1 == steps ? 1.0 : to, inner_inputs + NU);
 }
 
-enum {
-    FORCE_VARIANCE,
-    FORCE_TIME,
-    WHITE_VARIANCE,
-    COLOUR_VARIANCE,
-    COLOUR_TIME,
-    SEA_VARIANCE,
-    SEA_PERIOD,
-    SEA_DAMPING
-};
-
 /* Disturbances into the parameters through which they act, several perhaps through one. */
 static inline void let_act(double *p, int nq, const int *q_index, const double *acting)
 {
@@ -242,80 +230,62 @@ static ONCE void keep_transition(transition_t *f, const row_t *s, const int *unc
     f->first[f->rows] = count;
 }
 
-/* The states of one process among the nr random components. */
-typedef struct {
-    int n, at[STATES];
-} states_t;
-
-static inline states_t states_of(const int *owner, int nr, int process)
-{
-    states_t found = {0};
-    for (int i = 0; i < nr; ++i)
-        if (owner[i] == process) found.at[found.n++] = i;
-    return found;
-}
-
-/* Sum of a b' over the columns of one process. */
-static inline double shared(const double *a, const double *b, const states_t *of)
-{
-    double sum = 0.0;
-    for (int c = 0; c < of->n; ++c) sum += a[of->at[c]] * b[of->at[c]];
-    return sum;
-}
-
-/* Lane l of dP += I - phi phi', the fresh noise of a process of unit variance. */
-static inline void add_fresh_lane(double *dP, int l, int lanes, const double *phi, int na, int nr,
-                                  int size, const states_t *of)
-{
-    for (int r = 0; r < of->n; ++r)
-        for (int c = 0; c <= r; ++c) {
-            const int i = of->at[r], j = of->at[c];
-            const double left = shared(phi + (size_t)i * nr, phi + (size_t)j * nr, of);
-            dP[(size_t)PAIR(na + i, na + j, size) * lanes + l] += (i == j) - left;
-        }
-}
-
-/* Lane l of the tangents, for a change of phi in the rows of one process:
- * dm += dF m and dP += dF P F' + F P dF' - variance (dphi phi' + phi dphi'); FP, of the covariance
- * before the step, and dm have a stride. */
+/* Lane l of the tangents, for a change of phi: dm += dF m and dP += dF P F' + F P dF'; FP, of the
+ * covariance before the step, and dm have a stride. */
 static void add_changed_memory(double *dP, double *dm, int l, int lanes, int na, int nr, int size,
-                               const states_t *of, const double *phi, const double *change,
-                               double variance, const double *FP, int stride, const double *mean)
+                               const double *change, const double *FP, int stride, const double *mean)
 {
-    for (int r = 0; r < of->n; ++r) {
-        const int i = na + of->at[r];
-        const double *by = change + (size_t)of->at[r] * nr;
-        dm[(size_t)i * stride + l] += shared(by, mean + na, of);
+    sparse_t by;
+    for (int r = 0; r < nr; ++r) {
+        const int i = na + r;
+        by.n = 0;
+        for (int c = 0; c < nr; ++c) keep_entry(&by, na + c, change[(size_t)r * nr + c]);
+        if (by.n == 0) continue;
+        dm[(size_t)i * stride + l] += dot_sparse(&by, mean);
         for (int j = 0; j < size; ++j)
             dP[(size_t)PAIR(i, j, size) * lanes + l] +=
-                (i == j ? 2.0 : 1.0) * shared(by, FP + (size_t)j * stride + na, of);
-        for (int c = 0; c < of->n; ++c) { /* each of two rows gives one half of what stands between */
-            const int j = na + of->at[c];
-            const double fresh = variance * shared(by, phi + (size_t)of->at[c] * nr, of);
-            dP[(size_t)PAIR(i, j, size) * lanes + l] -= (i == j ? 2.0 : 1.0) * fresh;
+                (i == j ? 2.0 : 1.0) * dot_sparse(&by, FP + (size_t)j * stride);
+    }
+}
+
+/* fresh <- D - phi D phi', its lower triangle, of some lanes side by side; phi are rows of F. */
+static void fresh_noise(double *fresh, const transition_t *f, int na, const double *D, int nr, int lanes,
+                        double *across)
+{
+    for (int i = 0; i < nr; ++i) {
+        for (int j = 0; j < nr * lanes; ++j) across[j] = 0.0;
+        for (int r = f->first[na + i]; r < f->first[na + i + 1]; ++r) {
+            const double *from = D + (size_t)(f->index[r] - na) * nr * lanes;
+            for (int j = 0; j < nr * lanes; ++j) across[j] += f->value[r] * from[j];
+        }
+        for (int j = 0; j <= i; ++j) {
+            const size_t at = ((size_t)i * nr + j) * lanes;
+            for (int l = 0; l < lanes; ++l) fresh[at + l] = D[at + l];
+            for (int r = f->first[na + j]; r < f->first[na + j + 1]; ++r) {
+                const double *by = across + (size_t)(f->index[r] - na) * lanes;
+                for (int l = 0; l < lanes; ++l) fresh[at + l] -= f->value[r] * by[l];
+            }
         }
     }
 }
 
-/* Process of which a level is the variance, or -1: disturbances of first order come first, then
- * those of seas, then colours. */
-static inline int level_at(int kind, int index, int n_first, int nq)
+/* Lane l of fresh -= dphi D phi' + phi D dphi', for a change of phi. */
+static void change_fresh(double *fresh, int l, int lanes, const transition_t *f, int na,
+                         const double *change, const double *D, int nr, double *across)
 {
-    if (kind == FORCE_VARIANCE) return index;
-    if (kind == SEA_VARIANCE) return n_first + index;
-    return kind == COLOUR_VARIANCE ? nq + index : -1;
-}
-
-/* fresh <- D - phi D phi', D being diagonal. */
-static inline void fresh_noise(double *fresh, const double *phi, const double *variance, int nr)
-{
-    for (int i = 0; i < nr; ++i)
-        for (int j = 0; j < nr; ++j) {
-            double *to = fresh + (size_t)i * nr + j;
-            *to = i == j ? variance[i] : 0.0;
-            for (int c = 0; c < nr; ++c)
-                *to -= phi[(size_t)i * nr + c] * variance[c] * phi[(size_t)j * nr + c];
+    for (int i = 0; i < nr; ++i) {
+        int any = 0;
+        for (int j = 0; j < nr; ++j) across[j] = 0.0;
+        for (int c = 0; c < nr; ++c)
+            if (change[(size_t)i * nr + c] != 0.0 && ++any)
+                for (int j = 0; j < nr; ++j)
+                    across[j] += change[(size_t)i * nr + c] * D[(size_t)c * nr + j];
+        for (int j = 0; j < (any ? nr : 0); ++j) {
+            double *to = fresh + (size_t)PAIR(i, j, nr) * lanes + l;
+            for (int r = f->first[na + j]; r < f->first[na + j + 1]; ++r)
+                *to -= (i == j ? 2.0 : 1.0) * f->value[r] * across[f->index[r] - na];
         }
+    }
 }
 
 /* mean <- phi mean of the random components. */
@@ -333,8 +303,8 @@ size_t kernel_filter_work(int na, int more, int nq, int nr, int nx, int nl)
 {
     const size_t size = na + nr, rows = size + more, stride = round4((int)size), lanes = round4(nl);
     const size_t width = stride + round4(nx) + lanes, wide = round4(nx + nl + 1);
-    return rows * (2 * width + stride) + (3 * rows + NY) * size * lanes + NY * lanes + width + 2 * stride +
-           (size_t)nr * nr + (size_t)(na + more) * (na + nq + more) + (size_t)STATES * nr +
+    return rows * (2 * width + stride) + 3 * rows * size * lanes + width + 2 * stride +
+           (size_t)nr * nr * (lanes + 1) + (size_t)nr * (lanes + 1) + (size_t)(na + more) * (na + nq + more) + (size_t)STATES * nr +
            (2 * NY + 1 + lanes + wide) * wide;
 }
 
@@ -347,15 +317,15 @@ size_t kernel_filter_work(int na, int more, int nq, int nr, int nx, int nl)
  * from c_parameter, disturbances from c_disturbance; columns (NF) maps
  * each free parameter to its place in these rows or to -1; x0 (na + more x nx) start of X;
  * nq, q_index (nq) positions of the disturbances in p, q_column (nq) their columns there, of which
- * there are nd; q_sea (nq), number of the sea of which it is a part, or -1: seas come last;
- * white (NY) variances; ncol, c_output (ncol);
- * nr random components: disturbances, colours, then further states of disturbances; owner (nr) the
- * process of each, variance (nr); which (n - 1 x 2) of the transitions are those of the steps after
+ * there are nd; white (NY) variances; ncol, c_output (ncol);
+ * nr random components: disturbances, colours, then further states of disturbances; stationary
+ * (nr x nr) their covariance; which (n - 1 x 2) of the transitions are those of the steps after
  * each sample, of all but the last and of this one, towards a step of perhaps another length;
- * memory (n_transitions x 3 x nr x nr) these, their derivatives by the logarithms of all times
- * and periods, and of all dampings;
+ * memory (n_transitions x nr x nr) these; of nl levels, in `lanes`, nl rounded up to whole vectors,
+ * d_white (NY x lanes) and d_stationary (nr x nr x lanes) are the derivatives; nm of them, l_moving
+ * (nm), change the transitions by d_memory (n_transitions x nm x nr x nr);
  * measured (n x NY), NaN where missing; beyond (n x NY) the largest e^2/S with which a sample moves
- * anything, NULL for any; nl, l_kind, l_index (nl), -1 for the time of all.
+ * anything, NULL for any.
  * Results, each but gram may be NULL: gram ((nx + nl + 1)^2) the sum of [de e]'[de e]/S; level
  * (nl + nl^2) half gradient sum q(1 - e^2/S)/2 and sum q q'/2 of the levels, q = d log S;
  * e, s (n x NY) innovations, NaN where missing, and their variances; rows (n x NY x (nx + 2 nl)) of
@@ -368,16 +338,14 @@ size_t kernel_filter_work(int na, int more, int nq, int nr, int nx, int nl)
 int kernel_filter(int n, const double *times, const double *inputs, const double *p0, double h_max,
                   double h_sub, const double *z0, int na, int more, const int *uncertain, int nx, int np,
                   int c_parameter, int c_disturbance, const int *columns, const double *x0, int nq, int nd, const int *q_index,
-                  const int *q_column, const int *q_sea, const double *white, int ncol,
-                  const int *c_output, int nr, const int *owner, const double *variance,
-                  const int *which, const double *memory, const double *measured, const double *beyond,
-                  int nl, const int *l_kind, const int *l_index,
-                  double *gram_out, double *level_out, double *e_out, double *s_out,
+                  const int *q_column, const double *white, int ncol, const int *c_output, int nr,
+                  const double *stationary, const int *which, const double *memory,
+                  int nl, const double *d_white, const double *d_stationary, int nm,
+                  const int *l_moving, const double *d_memory, const double *measured,
+                  const double *beyond, double *gram_out, double *level_out, double *e_out, double *s_out,
                   double *rows_out, double *path_out, double *gains_out, double *moves_out, double *total,
                   double *work)
 {
-    int n_first = 0; /* disturbances of first order */
-    for (int j = 0; j < nq; ++j) n_first += q_sea[j] < 0;
     const int m = na + nq, tail = m + ncol, size = na + nr, n_rows = size + more;
     const int stride = round4(size), lanes = round4(nl), c_levels = stride + round4(nx);
     const int joint = c_levels + lanes, width = nx + nl + 1, wide = round4(width);
@@ -385,17 +353,17 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
     double *J = work, *Jnext = J + (size_t)n_rows * joint;
     double *across = Jnext + (size_t)n_rows * joint, *dP = across + (size_t)n_rows * stride;
     double *dPnext = dP + n_rows * tangents, *dPacross = dPnext + n_rows * tangents;
-    double *white_lanes = dPacross + n_rows * tangents, *c = white_lanes + (size_t)NY * lanes;
-    double *delta = c + joint, *mean = delta + stride, *fresh = mean + stride;
-    double *entries = fresh + (size_t)nr * nr;
+    double *c = dPacross + n_rows * tangents, *delta = c + joint, *mean = delta + stride;
+    double *fresh = mean + stride, *d_fresh = fresh + (size_t)nr * nr;
+    double *lanes_across = d_fresh + (size_t)nr * nr * lanes;
+    double *entries = lanes_across + (size_t)nr * (lanes + 1);
     double *rows = entries + (size_t)(na + more) * (m + more) + (size_t)STATES * nr;
     double *rowsq = rows + (size_t)NY * wide, *slope = rowsq + (size_t)NY * wide;
     double *information = slope + wide, *gram = information + (size_t)lanes * wide;
     int place[NZ + PROCESSES * NF], sensors_remember = 0, last = -1;
-    const double *phi = memory;
+    const size_t square = (size_t)nr * nr;
     const int c_passing = c_disturbance + nd;
     transition_t f = {.size = size, .rows = n_rows, .value = entries};
-    states_t states[PROCESSES * NF + NY];
     sparse_t h;
     double z[MAX1(NZ)], seen[MAX1(NZ)], y[MAX1(NY)], p[MAX1(NP)];
     SCRATCH row_t s[MAX1(NZ)], sy[MAX1(NY)];
@@ -410,13 +378,11 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
         place[l] = l < na ? l : l < m ? c_disturbance + q_column[l - na] : c_passing + l - m;
     for (int i = 0; i < na + more; ++i)
         memcpy(J + (size_t)(i < na ? i : i + nr) * joint + stride, x0 + (size_t)i * nx, sizeof(double) * nx);
-    for (int i = 0; i < nr; ++i) J[(size_t)(na + i) * (joint + 1)] = variance[i];
-    for (int j = 0; j < nq + ncol; ++j) states[j] = states_of(owner, nr, j);
-    for (int l = 0; l < nl; ++l) {
-        const int at = level_at(l_kind[l], l_index[l], n_first, nq);
-        for (int i = 0; i < nr; ++i)
-            if (owner[i] == at) dP[(size_t)PAIR(na + i, na + i, size) * lanes + l] = 1.0;
-        if (l_kind[l] == WHITE_VARIANCE) white_lanes[(size_t)l_index[l] * lanes + l] = 1.0;
+    for (int i = 0; i < nr; ++i) {
+        memcpy(J + (size_t)(na + i) * joint + na, stationary + (size_t)i * nr, sizeof(double) * nr);
+        for (int j = 0; j <= i && nl > 0; ++j)
+            axpy(dP + (size_t)PAIR(na + i, na + j, size) * lanes, 1.0,
+                 d_stationary + ((size_t)i * nr + j) * lanes, lanes);
     }
     for (int i = 0; i < na; ++i) sensors_remember |= uncertain[i] >= NX + NA;
     for (int k = 0; k < n; ++k) {
@@ -475,7 +441,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             if (!missing)
                 for (int r = 0; r < size; ++r) axpy(J + (size_t)r * joint, -g[r] * inverse, c, joint);
             if (nl > 0) {
-                memcpy(q, white_lanes + (size_t)i * lanes, sizeof(double) * lanes);
+                memcpy(q, d_white + (size_t)i * lanes, sizeof(double) * lanes);
                 measure_levels(dP, J + c_levels, joint, q, &h, g, e, inverse, !missing,
                                explained != 0.0, size, lanes);
             }
@@ -487,15 +453,15 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             if (missing) continue; /* moves nothing */
             ++n_seen;
             axpy(delta, e * inverse, g, size);
-            const double square = e * e * inverse;
-            axpy(slope, 0.5 * (1.0 - square), q, nl);
+            const double misfit = e * e * inverse;
+            axpy(slope, 0.5 * (1.0 - misfit), q, nl);
             /* One logarithm for many variances. */
             product_s *= S;
             if (product_s < 1e-200 || product_s > 1e200) {
                 sum_log += log(product_s);
                 product_s = 1.0;
             }
-            sum_square += square;
+            sum_square += misfit;
         }
         add_products(gram, rows, n_seen, wide, width);
         add_products(information, rowsq, n_seen, wide, nl);
@@ -512,11 +478,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
         const double within = step_before(times, n, k + 1, h_sub, h_max);
         for (int step = 0; step < steps; ++step) {
             const int now = which[2 * k + (step + 1 == steps)];
-            if (now != last) {
-                last = now;
-                phi = memory + (size_t)last * 3 * nr * nr;
-                fresh_noise(fresh, phi, variance, nr);
-            }
+            const double *phi = memory + now * square, *d_phi = d_memory + now * nm * square;
             double inner_times[2], inner_inputs[2 * MAX1(NU)];
             part_of_interval(times + k, input, step, steps, inner_times, inner_inputs);
             let_act(p, nq, q_index, mean + na);
@@ -530,6 +492,14 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                 memcpy(z + NX + NA, seen + NX + NA, sizeof(double) * NS);
             advance_interval(z, s, inner_times, inner_inputs, p, h_max, 0, sensors_remember, 1);
             keep_transition(&f, (const row_t *)s, uncertain, place, phi, na, nq, nr);
+            if (now != last) {
+                last = now;
+                fresh_noise(fresh, &f, na, stationary, nr, 1, lanes_across);
+                fresh_noise(d_fresh, &f, na, d_stationary, nr, lanes, lanes_across);
+                for (int l = 0; l < nm; ++l)
+                    change_fresh(d_fresh, l_moving[l], lanes, &f, na, d_phi + l * square, stationary, nr,
+                                 lanes_across);
+            }
             if (moves_out) keep_move(moves_out + (size_t)k * block_moves, &f, step, across, Jnext);
             moved(Jnext, &f, n_rows, J, joint);
             double *before = J;
@@ -546,21 +516,13 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                 turn_lanes(dPacross, dPnext, size, lanes);
                 moved(dP, &f, size, dPacross, (int)tangents);
             }
-            for (int l = 0; l < nl; ++l) {
-                const int kind = l_kind[l], index = l_index[l];
-                const int at = level_at(kind, index, n_first, nq);
-                if (at >= 0) add_fresh_lane(dP, l, lanes, phi, na, nr, size, states + at);
-                for (int j = 0; j < nq + ncol; ++j) {
-                    /* One time, or with index -1 that of all; period and damping those of a sea. */
-                    int hit = j < nq ? kind == FORCE_TIME && q_sea[j] < 0 : kind == COLOUR_TIME;
-                    hit = hit && (index < 0 || index == (j < nq ? j : j - nq));
-                    hit |= j < nq && (kind == SEA_PERIOD || kind == SEA_DAMPING) && q_sea[j] == index;
-                    if (!hit) continue;
-                    const double *change = phi + (size_t)(kind == SEA_DAMPING ? 2 : 1) * nr * nr;
-                    add_changed_memory(dP, J + c_levels, l, lanes, na, nr, size, states + j, phi,
-                                       change, variance[j], J, joint, mean);
-                }
-            }
+            for (int i = 0; i < nr && nl > 0; ++i)
+                for (int j = 0; j <= i; ++j)
+                    axpy(dP + (size_t)PAIR(na + i, na + j, size) * lanes, 1.0,
+                         d_fresh + ((size_t)i * nr + j) * lanes, lanes);
+            for (int l = 0; l < nm; ++l)
+                add_changed_memory(dP, J + c_levels, l_moving[l], lanes, na, nr, size, d_phi + l * square,
+                                   J, joint, mean);
             /* P = F (F P)' + Q. */
             for (int i = 0; i < size; ++i)
                 for (int j = 0; j < size; ++j) across[(size_t)j * stride + i] = J[(size_t)i * joint + j];
@@ -569,7 +531,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                 memcpy(J + (size_t)i * joint, Jnext + (size_t)i * stride, sizeof(double) * stride);
             for (int i = 0; i < nr; ++i)
                 for (int j = 0; j < nr; ++j)
-                    J[(size_t)(na + i) * joint + na + j] += fresh[(size_t)i * nr + j];
+                    J[(size_t)(na + i) * joint + na + j] += fresh[PAIR(i, j, nr)];
             remember(mean + na, phi, nr, delta);
         }
         let_act(p, nq, q_index, mean + na);
@@ -644,7 +606,7 @@ int kernel_replay(int n, const double *times, const double *inputs, const double
                             NULL, 0);
             advance_interval(z, NULL, inner_times, inner_inputs, p, h_max, 0, NS > 0, 0);
             const int now = which[2 * k + (step + 1 == steps)];
-            remember(mean + na, memory + (size_t)now * 3 * nr * nr, nr, delta);
+            remember(mean + na, memory + (size_t)now * nr * nr, nr, delta);
         }
         let_act(p, nq, q_index, mean + na);
     }

@@ -47,6 +47,17 @@ whose stationary covariance is the unit matrix again, and stays so when a reflec
 :math:`(m, s)` into the first axis. So the variance, that of the mean, enters force noise alone,
 period and damping the transition alone.
 
+*One wave in several equations* is one such process, of which each equation has a part by a standard
+deviation and a phase,
+
+.. math:: w_j = \sigma_j (\cos\varphi_j\, x_1 + \sin\varphi_j\, x_2) ,
+
+where two reflections have put the mean of the force first, and second that of its quadrature, which
+is a quarter of a period behind it: the integral of a velocity, the rate of a displacement with its
+sign turned, and of fourth order the mean of both, whose spectrum is that of the force near its
+peak. A stationary process is independent of its rate at any one time, and so are their means over a
+step.
+
 Without a compiler the same passes run on CasADi's interpreter (:class:`InterpretedFilter`): there
 every tangent is a matrix of its own, and nothing is sparse.
 """
@@ -69,10 +80,10 @@ from oed_sysid.compiled.kernels import Kernel, Run
 from oed_sysid.errors import ModelError
 from oed_sysid.physics.model import Model
 
-# Levels of the noise by kind, as ``filter.c`` numbers them.
+# Levels of the noise by kind.
 FORCE_VARIANCE, FORCE_TIME, WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME = range(5)
-# Those of narrow-band disturbances: a variance counts among all of these, the others are of a sea.
-SEA_VARIANCE, SEA_PERIOD, SEA_DAMPING = range(5, 8)
+# Those of a sea: variances and phases count among all narrow-band disturbances.
+SEA_VARIANCE, SEA_PERIOD, SEA_DAMPING, SEA_PHASE = range(5, 9)
 # Kinds that are the stationary variance of a process.
 VARIANCES = (FORCE_VARIANCE, COLOUR_VARIANCE, SEA_VARIANCE)
 # Most disturbances that act through one parameter, as in ``filter.c``.
@@ -109,6 +120,8 @@ class Disturbed:
         :data:`FOURTH`.
     sea : ndarray of int (n_disturbances,), optional
         Which of those of a sea share period and damping; -1 for first order.
+    phase : ndarray (n_disturbances,), optional
+        Of the parts of one wave, rad; NaN where a disturbance is a process of its own.
     """
 
     disturbances: tuple[str, ...]
@@ -121,9 +134,11 @@ class Disturbed:
     damping: Any = 0.0
     turn: Any = 0
     sea: Any = -1
+    phase: Any = np.nan
 
     def __post_init__(self) -> None:
-        for name, kind in (("damping", float), ("turn", np.intc), ("sea", np.intc)):
+        kinds = {"damping": float, "turn": np.intc, "sea": np.intc, "phase": float}
+        for name, kind in kinds.items():
             given = np.asarray(getattr(self, name), dtype=kind)
             object.__setattr__(self, name, np.broadcast_to(given, self.variance.shape).copy())
 
@@ -135,59 +150,168 @@ class Disturbed:
     @property
     def n_second(self) -> int:
         """Number of further states of disturbances, which come last of all."""
-        return int(np.sum(self._further))
+        return len(self.owner) - len(self.variance) - len(self.coloured)
 
-    @property
-    def _further(self) -> np.ndarray:
-        return np.where(self.turn == 0, 0, np.where(self.turn == FOURTH, 4, 2))
+    @cached_property
+    def parts(self) -> np.ndarray:
+        """Disturbances that are parts of one wave, ``(n_parts,)``."""
+        return np.flatnonzero(np.isfinite(self.phase))
 
     @cached_property
     def owner(self) -> np.ndarray:
-        """Process of every disturbance, colour and further state, ``(n,)``."""
-        count = np.arange(len(self.variance) + len(self.coloured))
-        further = np.repeat(np.arange(len(self.variance)), self._further)
-        return np.concatenate([count, further]).astype(np.intc)
+        """Process of every disturbance, colour and further state, ``(n,)``.
 
-    @property
-    def stationary(self) -> np.ndarray:
-        """Variances of disturbances, colours and further states, ``(n,)``."""
-        return np.concatenate([self.variance, self.colour_variance])[self.owner]
+        That of a wave is its first part, behind which all of its states stand.
+        """
+        process = np.arange(len(self.variance) + len(self.coloured))
+        further = np.where(self.turn == 0, 0, np.where(self.turn == FOURTH, 4, 2))
+        for part in self.parts:
+            process[part] = self.parts[self.sea[self.parts] == self.sea[part]][0]
+            further[part] = further[part] + 2 if process[part] == part else 0
+        return np.append(process, np.repeat(process[: len(further)], further)).astype(np.intc)
 
-    def memory(self, lengths: np.ndarray, following: np.ndarray) -> np.ndarray:
-        """Transitions of disturbances, colours and further states over some steps.
+    def touched(self, kind: int, index: int) -> np.ndarray:
+        """Disturbances and colours of which a level is variance, time, damping or phase."""
+        n_forces, first_order = len(self.variance), int(np.sum(self.sea < 0))
+        process = np.arange(n_forces + len(self.coloured))
+        # What each counts as among those of the kind; below zero where it is none.
+        if kind in (COLOUR_VARIANCE, COLOUR_TIME):
+            number = process - n_forces
+        elif kind in (FORCE_VARIANCE, FORCE_TIME):
+            number = np.where(process < first_order, process, -1)
+        elif kind in (SEA_VARIANCE, SEA_PHASE):
+            number = np.where(process < n_forces, process - first_order, -1)
+        else:
+            number = np.append(self.sea, np.full(len(self.coloured), -1))
+        return np.asarray(number >= 0 if index < 0 else number == index)
+
+    def random(
+        self,
+        lengths: np.ndarray,
+        following: np.ndarray,
+        levels: Sequence[tuple[int, int]] = (),
+    ) -> Random:
+        r"""What disturbances, colours and further states do over some steps.
+
+        Processes :math:`c` are independent of one another, and parts of waves are mixed from them:
+        with :math:`x = T c` and :math:`c = S x`
+
+        .. math:: \phi = T \phi_c S, \qquad D = T D_c T' .
 
         Parameters
         ----------
         lengths, following : ndarray (n_lengths,)
             Of a step and of the one behind it, s.
-
-        Returns
-        -------
-        ndarray (n_lengths, 3, n, n)
-            And their derivatives by the logarithms of all times and periods, and of all dampings.
+        levels : sequence of (kind, index)
+            By which derivatives are wanted.
         """
-        owner, own = self.owner, len(self.variance) + len(self.coloured)
+        n, parts = len(self.owner), self.parts
+        own = np.setdiff1d(np.arange(n), parts)
+        owner, select = self.owner[own], np.eye(n)[own]
+        variance = np.append(self.variance, self.colour_variance)[owner]
+        variance[np.isin(owner, parts)] = 1.0
+        mix, d_mix = select.T.copy(), {}
+        for j in parts:
+            turned = np.array([np.cos(self.phase[j]), np.sin(self.phase[j])])
+            level = max(float(np.sqrt(self.variance[j])), 1e-150)
+            by_phase = level * np.array([-turned[1], turned[0]])
+            wave = np.flatnonzero(owner == self.owner[j])[:2]
+            mix[j, wave] = np.sqrt(self.variance[j]) * turned
+            for kind, slope in ((SEA_VARIANCE, turned / (2.0 * level)), (SEA_PHASE, by_phase)):
+                d_mix[kind, j] = np.zeros_like(mix)
+                d_mix[kind, j][j, wave] = slope
+        core = self._transitions(lengths, following, owner)
+
+        def lifted(mix: np.ndarray, phi: np.ndarray) -> np.ndarray:
+            return mix @ phi @ select if len(parts) else phi
+
+        lanes = -(-len(levels) // 4) * 4  # whole vectors
+        slopes, white = np.zeros((n, n, lanes)), np.zeros((len(self.white), lanes))
+        moving: dict[int, np.ndarray] = {}
+        for at, (kind, index) in enumerate(levels):
+            hit = self.touched(kind, index)
+            changed = d_mix.get((kind, int(np.argmax(hit))))
+            if kind == WHITE_VARIANCE:
+                white[index, at] = 1.0
+            elif changed is not None:
+                half = (changed * variance) @ mix.T
+                slopes[:, :, at] = half + half.T
+                moving[at] = lifted(changed, core[:, 0])
+            elif kind in VARIANCES:
+                slopes[:, :, at] = np.diag(hit[self.owner])
+            else:
+                by = core[:, 2 if kind == SEA_DAMPING else 1]
+                moving[at] = lifted(mix, np.where(hit[owner][:, None], by, 0.0))
+        changes = np.zeros((len(lengths), len(moving), n, n))
+        for change, one in enumerate(moving.values()):
+            changes[:, change] = one
+        which = np.array([*moving], dtype=np.intc)
+        stationary = (mix * variance) @ mix.T
+        return Random(stationary, lifted(mix, core[:, 0]), slopes, white, which, changes)
+
+    def _transitions(
+        self, lengths: np.ndarray, following: np.ndarray, owner: np.ndarray
+    ) -> np.ndarray:
+        """Of states of some processes, ``(n_lengths, 3, n, n)``.
+
+        And their derivatives by the logarithms of all times and periods, and of all dampings.
+        """
         found = np.zeros((len(lengths), 3, len(owner), len(owner)))
+        turn = np.append(self.turn, np.zeros(len(self.coloured), dtype=np.intc))[owner]
         # Numbers a hair above zero: a process without memory has a time of zero.
-        times = np.maximum(np.concatenate([self.time, self.colour_time]), 1e-9)
-        each = np.arange(own)
-        found[:, 0, each, each] = left = np.exp(-lengths[:, None] / times)
-        found[:, 1, each, each] = left * lengths[:, None] / times
-        means: dict[tuple[float, float, int], np.ndarray] = {}  # places of a sea share them
-        for j in np.flatnonzero(self.turn):
-            where = np.flatnonzero(owner == j)
-            kind = float(times[j]), float(self.damping[j]), int(self.turn[j])
+        times = np.maximum(np.append(self.time, self.colour_time), 1e-9)[owner]
+        each = np.flatnonzero(turn == 0)
+        found[:, 0, each, each] = left = np.exp(-lengths[:, None] / times[each])
+        found[:, 1, each, each] = left * lengths[:, None] / times[each]
+        means: dict[tuple[float, float, int, bool], np.ndarray] = {}  # places of a sea share them
+        for j in np.unique(owner[turn != 0]):
+            where, of_wave = np.flatnonzero(owner == j), bool(j in self.parts)
+            kind = float(self.time[j]), float(self.damping[j]), int(self.turn[j]), of_wave
             if kind not in means:
                 means[kind] = step_means(lengths, following, *kind)
             found[:, :, where[:, None], where] = means[kind]
         return found
 
 
-def rates(turn: int, damping: float) -> np.ndarray:
-    """The matrix ``A`` above for a unit frequency, ``(n_states, n_states)``."""
+@dataclass(frozen=True, eq=False)
+class Random:
+    """What random components do over steps of some lengths.
+
+    Attributes
+    ----------
+    stationary : ndarray (n, n)
+        Their covariance.
+    memory : ndarray (n_lengths, n, n)
+        Their transitions.
+    by_level : ndarray (n, n, n_lanes)
+        Derivatives of the covariance by levels; these in whole vectors of four.
+    white_by_level : ndarray (n_outputs, n_lanes)
+        Those of the variances of white noise.
+    moving : ndarray of int (n_moving,)
+        Levels that change the transitions.
+    memory_by_level : ndarray (n_lengths, n_moving, n, n)
+        Derivatives of the transitions by these; by times and dampings, of their logarithms.
+    """
+
+    stationary: np.ndarray
+    memory: np.ndarray
+    by_level: np.ndarray
+    white_by_level: np.ndarray
+    moving: np.ndarray
+    memory_by_level: np.ndarray
+
+
+def rates(turn: int, damping: float) -> tuple[np.ndarray, np.ndarray]:
+    """The matrix ``A`` above for a unit frequency, and the quadrature of the force.
+
+    Returns
+    -------
+    ndarray (n_states, n_states), (n_states,)
+    """
     z = damping
     if turn != FOURTH:
-        return np.array([[z * (turn - 1), turn], [-turn, -z * (turn + 1)]])
+        a = np.array([[z * (turn - 1), turn], [-turn, -z * (turn + 1)]])
+        return a, np.array([0.0, -turn])
     # Velocity and displacement of the driven pair, then of the one that drives.
     w, v = SECOND_PAIR, FIRST_PAIR
     a = np.array(
@@ -201,19 +325,23 @@ def rates(turn: int, damping: float) -> np.ndarray:
     drive = np.diag([0.0, 0.0, 1.0, 0.0])
     # In coordinates of unit stationary covariance, as the two states of a second-order sea are.
     root = np.linalg.cholesky(solve_continuous_lyapunov(a, -drive))
-    return np.linalg.solve(root, a @ root)
+    # Of its integral and its rate one falls with frequency as the other rises.
+    quadrature = (np.array([0, 1 / w, 0, 0]) - a[0]) @ root
+    quadrature[0] = 0.0  # independent of the force, to rounding
+    return np.linalg.solve(root, a @ root), quadrature / np.linalg.norm(quadrature)
 
 
 @lru_cache(maxsize=256)
 def _modes(turn: int, damping: float) -> tuple[np.ndarray, ...]:
-    """Eigenvalues of these rates, their vectors, the inverse, and the noise in these modes."""
-    a = rates(turn, damping)
+    """Eigenvalues of these rates, vectors and their inverse, noise and what acts in these modes."""
+    a, quadrature = rates(turn, damping)
     values, vectors = np.linalg.eig(a.astype(complex))
     inverse = np.linalg.inv(vectors)
     spread = -(a + a.T)  # of rank one, as noise enters one equation
     strongest = int(np.argmax(np.diag(spread)))
     drive = spread[:, strongest] / np.sqrt(spread[strongest, strongest])
-    return values, vectors, inverse, inverse @ drive
+    acting = np.stack([np.eye(len(a))[0], quadrature]) @ vectors
+    return values, vectors, inverse, inverse @ drive, acting
 
 
 def narrow_band(lengths: np.ndarray, period: float, damping: float, turn: int) -> np.ndarray:
@@ -240,13 +368,18 @@ def narrow_band(lengths: np.ndarray, period: float, damping: float, turn: int) -
     >>> float(np.linalg.det(phi).round(4)), float(np.exp(-4 * np.pi * 0.1).round(4))
     (0.2846, 0.2846)
     """
-    values, vectors, inverse, _ = _modes(turn, damping)
+    values, vectors, inverse, *_ = _modes(turn, damping)
     angles = 2 * np.pi * np.asarray(lengths, dtype=float)[:, None] / period
     return np.asarray((vectors * np.exp(values * angles)[:, None, :] @ inverse).real)
 
 
 def step_means(
-    lengths: np.ndarray, following: np.ndarray, period: float, damping: float, turn: int
+    lengths: np.ndarray,
+    following: np.ndarray,
+    period: float,
+    damping: float,
+    turn: int,
+    quadrature: bool = False,
 ) -> np.ndarray:
     """Transitions of the mean force of a sea over steps and of its further states.
 
@@ -256,12 +389,14 @@ def step_means(
         Of a step and of the one behind it, s.
     period, damping, turn
         As of :func:`narrow_band`.
+    quadrature : bool
+        Whether the mean of the quadrature comes second.
 
     Returns
     -------
-    ndarray (n_lengths, 3, n_states + 1, n_states + 1)
-        In coordinates of unit stationary covariance, and derivatives by the logarithms of period
-        and damping.
+    ndarray (n_lengths, 3, n, n)
+        In coordinates of unit stationary covariance, one more than there are states, two with the
+        quadrature; and derivatives by the logarithms of period and damping.
 
     Examples
     --------
@@ -273,9 +408,9 @@ def step_means(
     """
 
     def over(period: float, damping: float) -> np.ndarray:
-        stepped, turned = _with_mean(2 * np.pi * lengths / period, damping, turn)
-        _, behind = _with_mean(2 * np.pi * following / period, damping, turn)
-        return behind @ stepped @ turned
+        stepped, turned = _with_mean(2 * np.pi * lengths / period, damping, turn, quadrature)
+        _, behind = _with_mean(2 * np.pi * following / period, damping, turn, quadrature)
+        return np.swapaxes(behind, 1, 2) @ stepped @ turned
 
     def slope(by_period: float, by_damping: float) -> np.ndarray:
         ends = [
@@ -291,29 +426,49 @@ def step_means(
 _NODES, _WEIGHTS = 0.5 * np.array(np.polynomial.legendre.leggauss(10)) + [[0.5], [0.0]]
 
 
-def _with_mean(angles: np.ndarray, damping: float, turn: int) -> tuple[np.ndarray, np.ndarray]:
+def _with_mean(
+    angles: np.ndarray, damping: float, turn: int, quadrature: bool
+) -> tuple[np.ndarray, np.ndarray]:
     r"""Transition of :math:`(x, \nu)` over steps of some angles, and what puts the mean first."""
-    values, vectors, inverse, push = _modes(turn, damping)
+    values, vectors, inverse, push, acting = _modes(turn, damping)
     n, size = len(angles), len(values)
-    # What a unit of noise that came some angle before the end has made of the states and the mean:
+    means = acting[: 1 + quadrature]
+    whole = size + len(means)
+    # What a unit of noise that came some angle before the end has made of the states and the means:
     # their covariance is an integral of products, which loses nothing however short the step is.
     before = values * (angles[:, None] * _NODES)[:, :, None]
-    states = ((np.exp(before) * push) @ vectors.T).real
-    mean = ((np.expm1(before) / values * push) @ vectors[0]).real / angles[:, None]
-    weights = angles[:, None] * _WEIGHTS
-    rest = np.sqrt(np.sum(weights * mean**2, axis=1))
-    stepped = np.zeros((n, size + 1, size + 1))
+    root = np.sqrt(angles[:, None] * _WEIGHTS)[:, :, None]
+    states = root * ((np.exp(before) * push) @ vectors.T).real
+    made = ((np.expm1(before) / values * push) @ means.T).real / angles[:, None, None]
+    fresh, rest = np.linalg.qr(root * made)
+    stepped = np.zeros((n, whole, whole))
     powers = values * angles[:, None]
     stepped[:, :size, :size] = (vectors * np.exp(powers)[:, None, :] @ inverse).real
-    stepped[:, :size, size] = np.einsum("tk,tki->ti", weights * mean, states) / rest[:, None]
-    acting = np.empty((n, size + 1))
-    acting[:, :size] = ((np.expm1(powers) / powers * vectors[0]) @ inverse).real
-    acting[:, size] = rest
-    # Householder's reflection of the first axis into the direction that acts.
-    acting /= np.linalg.norm(acting, axis=1)[:, None]
-    acting[:, 0] += 1.0
-    turned = acting[:, :, None] * acting[:, None, :] / acting[:, 0, None, None]
-    return stepped, turned - np.eye(size + 1)
+    stepped[:, :size, size:] = np.swapaxes(states, 1, 2) @ fresh
+    acting = np.zeros((n, whole, len(means)))
+    let_expect = ((np.expm1(powers) / powers)[:, None, :] * means @ inverse).real
+    acting[:, :size] = np.swapaxes(let_expect, 1, 2)
+    acting[:, size:] = rest
+    turned = _reflection(acting[:, :, 0])
+    if quadrature:
+        inner = np.einsum("tij,ti->tj", turned, acting[:, :, 1])[:, 1:]
+        turned[:, :, 1:] = turned[:, :, 1:] @ _reflection(inner)
+    return stepped, turned
+
+
+def _reflection(directions: np.ndarray) -> np.ndarray:
+    """Orthogonal matrices, near one, whose first columns are some directions, ``(n, size, size)``.
+
+    Householder's reflections, with their other columns turned round.
+    """
+    sign = np.where(directions[:, :1] < 0, -1.0, 1.0)
+    axis = sign * directions / np.linalg.norm(directions, axis=1)[:, None]
+    axis[:, 0] += 1.0
+    found = axis[:, :, None] * axis[:, None, :] / axis[:, 0, None, None]
+    found -= np.eye(axis.shape[1])
+    found[:, :, 1:] *= -1.0
+    found[:, :, 0] *= sign
+    return np.asarray(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -472,8 +627,8 @@ class InterpretedFilter:
         self.coloured = slice(self.m, self.m + len(noise.coloured))
         self.size = self.coloured.stop + noise.n_second
         self.extra = slice(self.na, self.size)
-        self.tail, self.owner = noise.stationary, noise.owner
-        self.memory: dict[tuple[float, float], np.ndarray] = {}
+        self.levels: Sequence[tuple[int, int]] = ()
+        self.over: dict[tuple[float, float], Random] = {}
         self.mean = np.zeros(self.size)
         self.beyond = (
             np.full(along.measured.shape, np.inf) if along.beyond is None else along.beyond
@@ -501,7 +656,7 @@ class InterpretedFilter:
             self._correct(delta)
             for step, steps, lengths in self._parts(k):
                 self._advance(k, (step, steps), None)
-                self.mean[self.extra] = self._over(lengths)[0] @ self.mean[self.extra]
+                self.mean[self.extra] = self._over(lengths).memory[0] @ self.mean[self.extra]
         return -1
 
     def filter(
@@ -524,12 +679,10 @@ class InterpretedFilter:
         self.own = slice(nx - len(chosen), nx)
         # Disturbances begin in their stationary distribution; start states are unknowns, without
         # any.
-        self.p[self.extra, self.extra] = np.diag(self.tail)
+        self.begun = begun = self.noise.random(np.zeros(0), np.zeros(0), levels)
+        self.p[self.extra, self.extra] = begun.stationary
         self.d_p = np.zeros((nl, self.size, self.size))
-        for level, (kind, index) in enumerate(levels):
-            if kind in VARIANCES:
-                unit = np.diag(self._touched(kind, index).astype(float))
-                self.d_p[level, self.extra, self.extra] = unit
+        self.d_p[:, self.extra, self.extra] = np.moveaxis(begun.by_level, 2, 0)[:nl]
         self.gram = np.zeros((nx + nl + 1,) * 2)
         self.slope, self.information, self.total = np.zeros(nl), np.zeros((nl, nl)), np.zeros(2)
         for k, measured in enumerate(self.measured):
@@ -553,28 +706,12 @@ class InterpretedFilter:
         inner = [(step, counts[0], (lengths[0], lengths[0])) for step in range(counts[0] - 1)]
         return [*inner, (counts[0] - 1, counts[0], (lengths[0], lengths[-1]))]
 
-    def _over(self, lengths: tuple[float, float]) -> np.ndarray:
-        """Transition over a step, and its derivatives, ``(3, n, n)``."""
-        if lengths not in self.memory:
+    def _over(self, lengths: tuple[float, float]) -> Random:
+        """What random components do over a step."""
+        if lengths not in self.over:
             here, behind = np.array(lengths)[:, None]
-            self.memory[lengths] = self.noise.memory(here, behind)[0]
-        return self.memory[lengths]
-
-    def _touched(self, kind: int, index: int) -> np.ndarray:
-        """Disturbances, colours and further states of which a level is variance, time, damping."""
-        noise, n_forces = self.noise, len(self.noise.variance)
-        process = np.arange(n_forces + len(noise.coloured))
-        first_order = int(np.sum(noise.sea < 0))
-        # What each process counts as among those of the kind; below zero where it is none.
-        if kind in (COLOUR_VARIANCE, COLOUR_TIME):
-            number = process - n_forces
-        elif kind in (FORCE_VARIANCE, FORCE_TIME):
-            number = np.where(process < first_order, process, -1)
-        elif kind == SEA_VARIANCE:
-            number = np.where(process < n_forces, process - first_order, -1)
-        else:
-            number = np.append(noise.sea, np.full(len(noise.coloured), -1))
-        return np.asarray(number >= 0 if index < 0 else number == index)[self.owner]
+            self.over[lengths] = self.noise.random(here, behind, self.levels)
+        return self.over[lengths]
 
     def _let_act(self) -> None:
         """Disturbances into the parameters through which they act."""
@@ -644,10 +781,10 @@ class InterpretedFilter:
     ) -> np.ndarray:
         """Covariance, columns, tangents and sums after one scalar; ``q`` of the levels."""
         e = row[-1]
-        own = [kind == WHITE_VARIANCE and index == output for kind, index in self.levels]
+        white = self.begun.white_by_level[output, : len(self.levels)]
         # With g = P h: dS = h' dP h + dr, and dK = (dP h - q g) / S.
         d_g = self.d_p @ h
-        q = (d_g @ h + np.array(own, dtype=float)) / s
+        q = (d_g @ h + white) / s
         self.d_mean += np.outer(g, row[:-1]) / s
         self.d_mean[:, self.own.stop :] += (d_g - np.outer(q, g)).T * e / s
         # d(g g' / S) = (dg g' + g dg' - q g g') / S.
@@ -666,7 +803,8 @@ class InterpretedFilter:
         na, m, extra, n_full = self.na, self.m, self.extra, len(self.z)
         s = self._advance(k, part, np.eye(n_full, n_full + len(self.code.graph.free_indices)))
         assert s is not None
-        phi, by_time, by_damping = self._over(lengths)
+        over = self._over(lengths)
+        phi, stationary = over.memory[0], over.stationary
         f = np.zeros((self.size, self.size))
         f[:na, :na] = s[np.ix_(self.kept, self.kept)]
         f[:na, na:m] = s[np.ix_(self.kept, self.random)]
@@ -677,32 +815,21 @@ class InterpretedFilter:
             self.found.moves[k, :count] = f[np.ix_(self.inside, self.inside)] @ before
         self.d_mean = f @ self.d_mean
         self.d_mean[:na, self.own] += s[np.ix_(self.kept, self.chosen)]
-        for level in range(len(self.levels)):
-            kind = self.levels[level][0]
-            self._predict_level(level, f, phi, by_damping if kind == SEA_DAMPING else by_time)
-        # P^- = F P F' + Q with Q = sigma^2 (I - Phi Phi'): stationary where nothing is measured.
-        self.p = f @ self.p @ f.T
-        self.p[extra, extra] += np.diag(self.tail) - phi * self.tail @ phi.T
-        self.mean[extra] = phi @ self.mean[extra]
-
-    def _predict_level(self, level: int, f: np.ndarray, phi: np.ndarray, d_phi: np.ndarray) -> None:
-        """Tangents by one level; the covariance is still the one before the step."""
-        kind, index = self.levels[level]
-        extra = self.extra
-        d_p = f @ self.d_p[level] @ f.T
-        if kind in VARIANCES:
-            unit = np.diag(self._touched(kind, index).astype(float))
-            d_p[extra, extra] += unit - phi @ unit @ phi.T
-        elif kind != WHITE_VARIANCE:
-            # Of a time or damping: d(F P F' + Q) by dPhi, mean and covariance as before the step.
-            change = np.where(self._touched(kind, index)[:, None], d_phi, 0.0)
+        # P^- = F P F' + D - phi D phi': stationary where nothing is measured.
+        d_p = f @ self.d_p @ f.T
+        by_level = np.moveaxis(over.by_level, 2, 0)[: len(d_p)]
+        d_p[:, extra, extra] += by_level - phi @ by_level @ phi.T
+        for level, change in zip(over.moving, over.memory_by_level[0], strict=True):
             self.d_mean[extra, self.own.stop + level] += change @ self.mean[extra]
             moved = change @ (self.p[extra] @ f.T)
-            d_p[extra] += moved
-            d_p[:, extra] += moved.T
-            fresh = change * self.tail @ phi.T
-            d_p[extra, extra] -= fresh + fresh.T
-        self.d_p[level] = d_p
+            d_p[level, extra] += moved
+            d_p[level, :, extra] += moved.T
+            fresh = change @ stationary @ phi.T
+            d_p[level, extra, extra] -= fresh + fresh.T
+        self.d_p = d_p
+        self.p = f @ self.p @ f.T
+        self.p[extra, extra] += stationary - phi @ stationary @ phi.T
+        self.mean[extra] = phi @ self.mean[extra]
 
 
 class FilterKernel(Kernel):
@@ -760,8 +887,8 @@ class FilterKernel(Kernel):
             Whether the own start states have columns, which come first.
         levels : sequence of (kind, index)
             Levels with tangents, ``FORCE_VARIANCE`` and its like; index -1 is the time of all.
-            A ``SEA_VARIANCE`` counts among narrow-band disturbances, ``SEA_PERIOD`` and
-            ``SEA_DAMPING`` are of a sea.
+            ``SEA_VARIANCE`` and ``SEA_PHASE`` count among narrow-band disturbances,
+            ``SEA_PERIOD`` and ``SEA_DAMPING`` are of a sea.
         rows : bool
             Whether to return the derivatives of every innovation.
         gains : bool
@@ -779,7 +906,6 @@ class FilterKernel(Kernel):
         n_active = len(kept) - n_passing
         own_states = range(self.n_own if own_columns else 0)
         first = dz0[np.ix_(kept, [*own_states, *(self.n_own + chosen)])]
-        kinds, indices = np.array([*levels], dtype=np.intc).reshape(-1, 2).T.copy()
         width = first.shape[1] + len(levels)
         n_random = len(noise.disturbances)
         size = self.n_full + n_random + len(noise.coloured)
@@ -817,18 +943,21 @@ class FilterKernel(Kernel):
         acting = np.array([noise.acting.index(d) for d in noise.disturbances], dtype=np.intc)
         coloured = np.ascontiguousarray(noise.coloured, dtype=np.intc)
         steps = along.steps
-        memory = noise.memory(steps.lengths, steps.following)
-        x0, white, variance, memory = doubles(first, noise.white, noise.stationary, memory)
-        owner = noise.owner
-        sizes = (n_random, len(owner), first.shape[1], len(levels))
+        over = noise.random(steps.lengths, steps.following, levels)
+        x0, white, stationary, memory, d_white, d_stationary, d_memory = doubles(
+            first, noise.white, over.stationary, over.memory,
+            over.white_by_level, over.by_level, over.memory_by_level,
+        )  # fmt: skip
+        n_extra = len(noise.owner)
+        sizes = (n_random, n_extra, first.shape[1], len(levels))
         work = np.empty(self.library.kernel_filter_work(n_active, n_passing, *sizes))
         failed = call(
             self.library.kernel_filter, n, along.times, along.inputs, along.values,
             float(self.model.step), steps.longest, z0, n_active, n_passing, kept, first.shape[1],
             len(chosen), parameter, disturbance, columns, x0, n_random, len(random),
-            positions, acting, noise.sea, white, len(coloured), coloured, len(owner), owner,
-            variance, steps.which, memory, along.measured, along.beyond,
-            len(levels), kinds, indices,
+            positions, acting, white, len(coloured), coloured, n_extra, stationary,
+            steps.which, memory, len(levels), d_white, d_stationary, len(over.moving),
+            over.moving, d_memory, along.measured, along.beyond,
             found.gram, level, found.innovations, found.variances, found.rows, found.path,
             found.gains, found.moves, total, work,
         )  # fmt: skip
@@ -862,7 +991,8 @@ class FilterKernel(Kernel):
         positions = np.array([self._position[d] for d in noise.disturbances], dtype=np.intc)
         coloured = np.ascontiguousarray(noise.coloured, dtype=np.intc)
         steps = along.steps
-        memory, gains = doubles(noise.memory(steps.lengths, steps.following), gains)
+        memory = noise.random(steps.lengths, steps.following).memory
+        memory, gains = doubles(memory, gains)
         mean, delta = np.empty((2, gains.shape[-1]))
         failed = call(
             self.library.kernel_replay, n, along.times, along.inputs, along.values,

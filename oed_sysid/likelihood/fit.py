@@ -567,11 +567,20 @@ class Fit(estimate.Estimate):
                 f"{told(f'{label} bandwidth', width, 2)} % wide (95 %)"
                 f"{'' if sea.shape == 'velocity' else ', with a tail at low frequencies'}."
             )
-            rows = [
+            head: tuple[str, ...] = ("waves", "significant amplitude", "unit")
+            rows: list[tuple[str, ...]] = [
                 (p, told(f"sea {p} level", one) if one > 0 else "absent", units.get(p, ""))
                 for p, one in sea.significant.items()
             ]
-            table = Table(("waves", "significant amplitude", "unit"), rows)
+            if sea.phases is not None:
+                words += f" One wave acts in all, behind that in {sea.places[0]} by a phase."
+                head = (*head, "phase [deg]", "common [% of variance]")
+                rows = [
+                    (*row, f"{np.degrees((sea.phases[p] + np.pi) % (2 * np.pi) - np.pi):.0f}",
+                     f"{100.0 * sea.coherence[p] ** 2:.0f}" if sea.coherence else "100")
+                    for row, p in zip(rows, sea.places, strict=True)
+                ]  # fmt: skip
+            table = Table(head, rows)
             sections.append(Section("Sea", (words,), (table,), indent=2))
         return sections
 

@@ -25,7 +25,7 @@ is known of the time of a disturbance that is absent.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress
 from typing import Any
@@ -40,6 +40,7 @@ from oed_sysid.compiled.filtering import (
     FOURTH,
     SEA_DAMPING,
     SEA_PERIOD,
+    SEA_PHASE,
     SEA_VARIANCE,
     WHITE_VARIANCE,
     Disturbed,
@@ -73,6 +74,12 @@ class Sea:
         ``"velocity"``, whose spectrum vanishes at frequency zero, ``"displacement"``, which has a
         tail there, or ``"jonswap"``, which is steep below its peak and has a tail above, as the
         spectrum of that name, which levels without a shape have. An estimation takes the likeliest.
+    phases : mapping of str to float, optional
+        Where one wave acts in all places, as a long-crested swell does: by how much the force in
+        each is behind, rad. Without, each place has waves of its own.
+    coherence : mapping of str to float, optional
+        With phases: the share of each standard deviation that is of the common wave, from 0 to 1;
+        the rest of the variance is of waves of its own. Without, all is common.
     height, direction : float, optional
         Where the levels are those of a swell: its significant height, m, and from where it comes,
         clockwise from the bow when a run begins, rad.
@@ -88,28 +95,47 @@ class Sea:
     bandwidth: float | None = None
     levels: Mapping[str, float] | None = None
     shape: str | None = None
+    phases: Mapping[str, float] | None = None
+    coherence: Mapping[str, float] | None = None
     height: float | None = None
     direction: float | None = None
 
     def __post_init__(self) -> None:
+        for name in ("levels", "phases", "coherence"):
+            if (given := getattr(self, name)) is not None:
+                named = {k if " " in k else f"force {k}": float(v) for k, v in given.items()}
+                object.__setattr__(self, name, named)
         if self.levels is not None:
-            named = {k if " " in k else f"force {k}": float(v) for k, v in self.levels.items()}
-            object.__setattr__(self, "levels", named)
             object.__setattr__(self, "shape", "jonswap" if self.shape is None else self.shape)
-        faults = (
-            (bool(np.all((self.level >= 0) & np.isfinite(self.level))),
-             f"levels {dict(self.levels or {})}. Give them as zero or above."),
-            (self.period is None or 0 < self.period < np.inf,
-             f"a period of {self.period} s. Give one above zero."),
-            (self.bandwidth is None or 0 < self.bandwidth < 2,
-             f"a bandwidth of {self.bandwidth}. It is a share of the frequency: give one above "
-             "zero and below 2, such as 0.2."),
-            (self.shape in (None, *SHAPES),
-             f"the shape {self.shape!r}. Choose {' or '.join(SHAPES)}."),
-        )  # fmt: skip
-        for right, words in faults:
+        for right, words in self._faults():
             if not right:
                 raise ModelError(f"A sea has {words}")
+
+    def _faults(self) -> Iterator[tuple[bool, str]]:
+        """What has to be right, and what is said where it is not."""
+        right = bool(np.all((self.level >= 0) & np.isfinite(self.level)))
+        yield right, f"levels {dict(self.levels or {})}. Give them as zero or above."
+        right = self.period is None or 0 < self.period < np.inf
+        yield right, f"a period of {self.period} s. Give one above zero."
+        yield (
+            self.bandwidth is None or 0 < self.bandwidth < 2,
+            (
+                f"a bandwidth of {self.bandwidth}. It is a share of the frequency: give one above "
+                "zero and below 2, such as 0.2."
+            ),
+        )
+        yield (
+            self.shape in (None, *SHAPES),
+            (f"the shape {self.shape!r}. Choose {' or '.join(SHAPES)}."),
+        )
+        told = f"for each place with a level, of all {self.places}."
+        yield self._told_for_each(self.phases), f"phases {self.phases}. Give one in rad {told}"
+        shares = [*(self.coherence or {}).values()]
+        right = not shares or (bool(self.phases) and 0 <= min(shares) <= max(shares) <= 1)
+        yield (
+            right and self._told_for_each(self.coherence),
+            (f"a coherence {self.coherence}. Give one from 0 to 1, and a phase, {told}"),
+        )
 
     @property
     def places(self) -> tuple[str, ...]:
@@ -120,6 +146,38 @@ class Sea:
     def level(self) -> np.ndarray:
         """Standard deviations of the forces, ``(n_places,)``."""
         return np.array(list((self.levels or {}).values()), dtype=float)
+
+    def _told_for_each(self, given: Mapping[str, float] | None) -> bool:
+        """Whether nothing is given, or a number for every place."""
+        return given is None or (
+            {*given} == {*self.places} and bool(np.all(np.isfinite([*given.values()])))
+        )
+
+    @property
+    def processes(self) -> tuple[tuple[str, float, float], ...]:
+        """Place, standard deviation, and phase, NaN without, of every process.
+
+        Of one wave first its parts, then what each place has besides.
+        """
+        levels = self.levels or {}
+        if self.phases is None:
+            return tuple((place, level, np.nan) for place, level in levels.items())
+        share = self.coherence or dict.fromkeys(levels, 1.0)
+        parts = ((p, level * share[p], self.phases[p]) for p, level in levels.items())
+        beside = ((p, level * np.sqrt(1.0 - share[p] ** 2), np.nan) for p, level in levels.items())
+        return (*parts, *(beside if self.coherence else ()))
+
+    def with_processes(self, level: np.ndarray, phase: np.ndarray) -> Sea:
+        """Return the same sea with other numbers of all of its processes."""
+        count = len(self.places)
+        if self.phases is None:
+            return self.with_levels(level)
+        beside = level[count:] if self.coherence else np.zeros(count)
+        total = np.hypot(level[:count], beside)
+        share = level[:count] / np.maximum(total, np.finfo(float).tiny)
+        told = dict(zip(self.places, map(float, share), strict=True)) if self.coherence else None
+        phases = dict(zip(self.places, map(float, phase[:count]), strict=True))
+        return replace(self.with_levels(total), phases=phases, coherence=told)
 
     @property
     def significant(self) -> dict[str, float]:
@@ -140,6 +198,15 @@ class Sea:
         """Return the same sea with other levels in its places."""
         return replace(self, levels=dict(zip(self.places, map(float, level), strict=True)))
 
+    def only(self, kept: np.ndarray) -> Sea:
+        """Return the same sea in some of its places."""
+        places = [place for place, one in zip(self.places, kept, strict=True) if one]
+        levels, phases, coherence = (
+            None if given is None else {place: given[place] for place in places}
+            for given in (self.levels, self.phases, self.coherence)
+        )
+        return replace(self, levels=levels, phases=phases, coherence=coherence)
+
     def filled(self, other: Sea) -> Sea:
         """Return the same sea with the numbers of another where it leaves some out."""
         own = {name: value for name, value in vars(self).items() if value is not None}
@@ -153,6 +220,7 @@ class Sea:
             "shape": self.shape,
             "levels": None if self.levels is None else dict(self.levels),
             "significant": self.significant,
+            **{n: dict(v) for n in ("phases", "coherence") if (v := getattr(self, n)) is not None},
             **{n: v for n in ("height", "direction") if (v := getattr(self, n)) is not None},
         }
 
@@ -292,15 +360,15 @@ class NoiseModel:
             Outputs with coloured noise; by default those whose level is above zero.
         """
         coloured = np.flatnonzero(self.colour > 0) if coloured is None else coloured
-        count, of_sea = len(self.force), [len(sea.places) for sea in self.seas]
-        at_places = sum((sea.places for sea in self.seas), self.places)
+        count, of_sea = len(self.force), [len(sea.processes) for sea in self.seas]
+        at_sea, level, phase = _processes(self.seas)
 
         def each(of_force: Any, *of_seas: Any) -> np.ndarray:
             return np.concatenate([np.broadcast_to(of_force, count), np.repeat(of_seas, of_sea)])
 
         return Disturbed(
-            disturbance_names(at_places),
-            np.concatenate([self.force, *(sea.level for sea in self.seas)]) ** 2,
+            disturbance_names((*self.places, *at_sea)),
+            np.append(self.force, level) ** 2,
             each(self.force_time, *(sea.period for sea in self.seas)),
             self.white**2,
             coloured,
@@ -309,6 +377,7 @@ class NoiseModel:
             each(0.0, *(0.5 * (sea.bandwidth or 0.0) for sea in self.seas)),
             each(0, *(SHAPES[sea.shape or "jonswap"] for sea in self.seas)),
             each(-1, *range(len(self.seas))),
+            np.append(np.full(count, np.nan), phase),
         )
 
     @property
@@ -483,11 +552,17 @@ class Levels:
         add(WHITE_VARIANCE, np.flatnonzero(white), unit.white, floor)
         add(COLOUR_VARIANCE, np.flatnonzero(of_colour), unit.colour[coloured], high=most**2)
         add_times(COLOUR_TIME, of_colour, noise.colour_time[coloured])
-        at_sea = [place for sea in noise.seas for place in sea.places]
-        sizes, places = _levels_of(unit.seas), [len(sea.places) for sea in noise.seas]
-        unknown = np.repeat([sea.levels is None for sea in known], places).astype(bool)
-        # What a fit has put at zero stays there, as forces do.
-        add(SEA_VARIANCE, np.flatnonzero(unknown & (sizes > 0)), sizes)
+        at_sea, _, phases = _processes(noise.seas)
+        _, sizes, _ = _processes(unit.seas)
+        counts, parts = [len(sea.processes) for sea in noise.seas], np.isfinite(phases)
+        unknown = np.repeat([sea.levels is None for sea in known], counts).astype(bool)
+        # What a fit has put at zero stays there, as forces do; a part of a wave keeps a phase.
+        least = np.where(parts, WHITE_FLOOR, 0.0)
+        add(SEA_VARIANCE, np.flatnonzero(unknown & (sizes > 0)), sizes, least)
+        unknown = np.repeat([sea.phases is None for sea in known], counts).astype(bool)
+        # Relative to that of the first part.
+        unknown[np.cumsum([0, *counts])[:-1][np.array(counts, dtype=int) > 0]] = False
+        add(SEA_PHASE, np.flatnonzero(unknown & parts), np.ones(len(parts)), -np.inf)
         # A wave takes two samples, and a record a few waves.
         periods, damping = _shapes_of(noise.seas)
         free = [sea.period is None for sea in known]
@@ -505,15 +580,17 @@ class Levels:
     def _sizes(self, noise: NoiseModel) -> dict[int, np.ndarray]:
         """Numbers of a noise model by kind, counted as :attr:`entries` count them."""
         periods, damping = _shapes_of(noise.seas)
+        _, level, phase = _processes(noise.seas)
         return {
             FORCE_VARIANCE: noise.force.copy(),
             FORCE_TIME: noise.force_time.copy(),
             WHITE_VARIANCE: noise.white.copy(),
             COLOUR_VARIANCE: noise.colour[self.coloured],
             COLOUR_TIME: noise.colour_time[self.coloured],
-            SEA_VARIANCE: _levels_of(noise.seas),
+            SEA_VARIANCE: level,
             SEA_PERIOD: periods,
             SEA_DAMPING: damping,
+            SEA_PHASE: phase,
         }
 
     def vector(self, noise: NoiseModel | None = None) -> np.ndarray:
@@ -523,21 +600,23 @@ class Levels:
             own = sizes[kind]
             # A time that all share begins at the geometric mean of theirs.
             size = own[index] if index >= 0 else _middle(own[own > 0])
-            values.append(np.log(size) if kind in LOGARITHMS else size**2 / scale)
+            own_value = size if kind == SEA_PHASE else size**2 / scale
+            values.append(np.log(size) if kind in LOGARITHMS else own_value)
         return np.clip(np.array(values, dtype=float), self.lower, self.upper)
 
     def at(self, vector: np.ndarray) -> NoiseModel:
         """Noise model of given unknowns."""
         noise, sizes = self.noise, self._sizes(self.noise)
         for (kind, index), scale, value in zip(self.entries, self.scale, vector, strict=True):
-            size = np.exp(value) if kind in LOGARITHMS else np.sqrt(max(value, 0.0) * scale)
+            own = value if kind == SEA_PHASE else np.sqrt(max(value, 0.0) * scale)
+            size = np.exp(value) if kind in LOGARITHMS else own
             sizes[kind][sizes[kind] > 0 if index < 0 else index] = size
         colour, colour_time = noise.colour.copy(), noise.colour_time.copy()
         colour[self.coloured] = sizes[COLOUR_VARIANCE]
         colour_time[self.coloured] = sizes[COLOUR_TIME]
-        stops = np.cumsum([len(sea.places) for sea in noise.seas])[:-1]
-        levels = np.split(sizes[SEA_VARIANCE], stops)
-        each = zip(noise.seas, levels, sizes[SEA_PERIOD], sizes[SEA_DAMPING], strict=False)
+        stops = np.cumsum([len(sea.processes) for sea in noise.seas])[:-1]
+        levels, phases = (np.split(sizes[kind], stops) for kind in (SEA_VARIANCE, SEA_PHASE))
+        each = zip(noise.seas, levels, phases, sizes[SEA_PERIOD], sizes[SEA_DAMPING], strict=False)
         return replace(
             noise,
             white=sizes[WHITE_VARIANCE],
@@ -547,9 +626,11 @@ class Levels:
             force_time=sizes[FORCE_TIME],
             seas=tuple(
                 replace(
-                    sea.with_levels(level), period=float(period), bandwidth=2.0 * float(damping)
+                    sea.with_processes(level, phase),
+                    period=float(period),
+                    bandwidth=2.0 * float(damping),
                 )
-                for sea, level, period, damping in each
+                for sea, level, phase, period, damping in each
             ),
         )
 
@@ -622,13 +703,19 @@ class Levels:
         noise = self.noise
         colours = tuple(f"colour of {noise.outputs[column]}" for column in self.coloured)
         seas = [f"sea {i + 1}" if len(noise.seas) > 1 else "sea" for i in range(len(noise.seas))]
+        at_sea = [
+            f"sea {place}{' besides' if sea.phases and np.isnan(phase) else ''}"
+            for sea in noise.seas
+            for place, _, phase in sea.processes
+        ]
         of = {
             FORCE_VARIANCE: ("level", noise.places),
             FORCE_TIME: ("time", (*noise.places, "disturbances")),
             WHITE_VARIANCE: ("level", [f"white of {name}" for name in noise.outputs]),
             COLOUR_VARIANCE: ("level", colours),
             COLOUR_TIME: ("time", (*colours, "colours")),
-            SEA_VARIANCE: ("level", [f"sea {place}" for sea in noise.seas for place in sea.places]),
+            SEA_VARIANCE: ("level", at_sea),
+            SEA_PHASE: ("phase", at_sea),
             SEA_PERIOD: ("period", seas),
             SEA_DAMPING: ("bandwidth", seas),
         }
@@ -643,7 +730,7 @@ class Levels:
     def are_variances(self) -> np.ndarray:
         """Which unknowns are variances, not times, of shape ``(n_levels,)``."""
         kinds = [kind for kind, _ in self.entries]
-        return ~np.isin(kinds, LOGARITHMS).reshape(len(kinds))
+        return ~np.isin(kinds, (*LOGARITHMS, SEA_PHASE)).reshape(len(kinds))
 
     @property
     def shares_a_time(self) -> bool:
@@ -685,9 +772,11 @@ class Levels:
         return replace(self, noise=noise)
 
 
-def _levels_of(seas: Sequence[Sea]) -> np.ndarray:
-    """Levels of some seas in all their places."""
-    return np.concatenate([np.zeros(0), *(sea.level for sea in seas)])
+def _processes(seas: Sequence[Sea]) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+    """Places, levels and phases of all processes of some seas."""
+    every = [process for sea in seas for process in sea.processes]
+    numbers = np.array([process[1:] for process in every], dtype=float).reshape(-1, 2)
+    return tuple(place for place, _, _ in every), numbers[:, 0].copy(), numbers[:, 1].copy()
 
 
 def _shapes_of(seas: Sequence[Sea]) -> tuple[np.ndarray, np.ndarray]:

@@ -31,6 +31,7 @@ from functools import cache, partial
 from itertools import compress
 
 import numpy as np
+from scipy.signal import hilbert
 from scipy.special import chdtrc, comb
 
 from oed_sysid.compiled.filtering import FORCE_VARIANCE
@@ -61,11 +62,12 @@ from oed_sysid.likelihood.noise_levels import credible_levels
 from oed_sysid.likelihood.noise_model import SHAPES, STEPS_OF_PERIOD, NoiseModel, Sea
 from oed_sysid.likelihood.score_test import TIMES, Scored, ScoreTest, Setting, Start, moved, posed
 from oed_sysid.likelihood.shooting import Point
+from oed_sysid.likelihood.smoother import smoothable
 from oed_sysid.runtime.constants import BEYOND
 
-# Gain in twice the log-likelihood from which another kind of noise is worth its freedom, twice that
-# of a sea, whose choice among periods and shapes may be worth two or three nats. Below, two starts
-# are one.
+# Gain in twice the log-likelihood from which another kind of noise is worth its freedom; twice that
+# of a sea, whose choice among periods and shapes may be worth two or three nats, and of one wave in
+# several places, each of which adds a phase and a share. Below, two starts are one.
 WORTH = 10.0
 # Decades above these levels that are climbed for the likeliest, and the stride of the climb: where
 # a model hardly damps what disturbs it, records tell of levels far below those that act.
@@ -507,6 +509,44 @@ def beside_a_sea(found: FilteredSolution, setting: Setting) -> Filtered | None:
     return _joined(found, setting, rest, [count * sample for count in TIMES], [Sea()])
 
 
+def one_wave(found: FilteredSolution, setting: Setting) -> Filtered | None:
+    """One wave that pushes all places of a sea, and what each has besides.
+
+    Of the forces that must have acted the coherence of two places and the phase between them are
+    told by the strongest eigenvector of their correlations, as analytic signals.
+    """
+    seas = found.noise.seas
+    if len(seas) != 1 or seas[0].phases is not None or np.sum(seas[0].level > 0) < 2:
+        return None
+    sea = seas[0].only(seas[0].level > 0)
+    passes, paths = smoothable(found.problem, found.point.unknowns)
+    columns = [len(found.noise.places) + seas[0].places.index(place) for place in sea.places]
+    products = np.zeros((len(columns),) * 2, dtype=complex)
+    for part, path in zip(passes, paths, strict=True):
+        forces = hilbert(path.disturbances(part.innovations[:, :, None])[:, columns, 0], axis=0)
+        products += forces.T @ forces.conj()
+    size = np.sqrt(np.diag(products).real)
+    strengths, vectors = np.linalg.eigh(products / np.outer(size, size))
+    common = vectors[:, -1] * vectors[0, -1].conj() / np.abs(vectors[0, -1])
+    share = np.minimum(np.sqrt(strengths[-1]) * np.abs(common), 1.0)
+    wave = replace(
+        sea,
+        phases=dict(zip(sea.places, -np.angle(common), strict=True)),
+        coherence=dict(zip(sea.places, share, strict=True)),
+    )
+    noise = replace(found.noise, seas=(wave,))
+    return posed(found, setting, noise, own_times=_own_times(found, noise))
+
+
+def without_tails(found: FilteredSolution, setting: Setting) -> Filtered | None:
+    """One wave of the shape of which the quadrature, too, has no tail at low frequencies."""
+    (sea,), known = found.noise.seas, setting.sea
+    if sea.phases is None or sea.shape == "jonswap" or (known and known.shape):
+        return None
+    noise = replace(found.noise, seas=(replace(sea, shape="jonswap"),))
+    return posed(found, setting, noise, own_times=_own_times(found, noise))
+
+
 # Parts in the order in which they are asked for, and their prices: noise of inputs that takes the
 # place of forces may be less likely by what Akaike (1974) weighs the unknown that it has fewer, and
 # what has vanished always goes.
@@ -599,10 +639,10 @@ def with_sea(
     sea = min(ends, key=lambda one: one.restricted)
     if sea.finite is None:
         return found
-    if setting.seas:
-        return sea
-    clearly = _clearly_a_sea(sea, found, setting)
-    return admitted(sea, setting, {beside_a_sea: WORTH}) if clearly else found
+    if not setting.seas and not _clearly_a_sea(sea, found, setting):
+        return found
+    together = admitted(sea, setting, {one_wave: 2.0 * WORTH, without_tails: 0.0})
+    return together if setting.seas else admitted(together, setting, {beside_a_sea: WORTH})
 
 
 def _clearly_a_sea(sea: FilteredSolution, found: FilteredSolution, setting: Setting) -> bool:

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from oed_sysid.compiled.filtering import narrow_band
+from oed_sysid.compiled.filtering import narrow_band, rates
 from oed_sysid.data.dataset import Record
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import Piecewise
@@ -63,48 +63,56 @@ def gauss_markov(
     return level * np.array(values)
 
 
-def narrow_band_force(
-    level: float, sea: Sea, times: np.ndarray, rng: np.random.Generator
-) -> np.ndarray:
-    """Draw the force of a sea in one place.
+def forces_of_sea(sea: Sea, times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Draw the forces of a sea: parts of one wave, or of one of its own in each place.
 
     Parameters
     ----------
-    level : float
-        Standard deviation.
     sea : Sea
-        Its period, bandwidth and shape.
+        With all of its numbers.
     times : ndarray (n_times,)
         s, increasing.
     rng : numpy.random.Generator
 
     Returns
     -------
-    ndarray (n_times,)
+    ndarray (n_times, n_places)
 
     Examples
     --------
     >>> sea = Sea(period=8.0, bandwidth=0.2, levels={"Z": 0.3})
-    >>> w = narrow_band_force(0.3, sea, np.arange(40000) * 0.2, np.random.default_rng(0))
+    >>> w = forces_of_sea(sea, np.arange(40000) * 0.2, np.random.default_rng(0))[:, 0]
     >>> float(w.std().round(2)), float(np.corrcoef(w[:-20], w[20:])[0, 1].round(2))
     (0.3, -0.64)
     """
     assert sea.period is not None
     assert sea.bandwidth is not None
     assert sea.shape is not None
+    turn = SHAPES[sea.shape]
     # Transitions by length of step: regular sampling has one.
     lengths, which = np.unique(np.diff(times).round(12), return_inverse=True)
-    moves = narrow_band(lengths, sea.period, 0.5 * sea.bandwidth, SHAPES[sea.shape])
+    moves = narrow_band(lengths, sea.period, 0.5 * sea.bandwidth, turn)
     unit = np.eye(moves.shape[1])
     # In units of the stationary covariance, which is one: Q = I - Phi Phi'.
     roots = [np.linalg.cholesky(unit - phi @ phi.T) for phi in moves]
-    draws = rng.standard_normal((len(times), len(unit)))
-    state = draws[0]
-    values = [state[0]]
-    for kind, fresh in zip(which, draws[1:], strict=True):
-        state = moves[kind] @ state + roots[kind] @ fresh
-        values.append(state[0])
-    return level * np.array(values)
+    acting = np.stack([unit[0], rates(turn, 0.5 * sea.bandwidth)[1]], axis=1)
+
+    def wave() -> np.ndarray:
+        draws = rng.standard_normal((len(times), len(unit)))
+        state = draws[0]
+        values = [state]
+        for kind, fresh in zip(which, draws[1:], strict=True):
+            state = moves[kind] @ state + roots[kind] @ fresh
+            values.append(state)
+        return np.array(values) @ acting
+
+    together = wave()
+    forces = dict.fromkeys(sea.places, np.zeros(len(times)))
+    for place, level, phase in sea.processes:
+        own = np.isnan(phase)
+        push = wave()[:, 0] if own else together @ [np.cos(phase), np.sin(phase)]
+        forces[place] = forces[place] + level * push
+    return np.array([*forces.values()]).T
 
 
 def drawn_disturbances(
@@ -116,10 +124,9 @@ def drawn_disturbances(
         force = gauss_markov(noise.force[i], noise.force_time[i], times, rng)
         found[noise.places[i]] = found.get(noise.places[i], 0.0) + force
     for sea in noise.seas:
-        for place, level in zip(sea.places, sea.level, strict=True):
-            if level > 0:
-                force = narrow_band_force(level, sea, times, rng)
-                found[place] = found.get(place, 0.0) + force
+        acting = sea.only(sea.level > 0)
+        for place, force in zip(acting.places, forces_of_sea(acting, times, rng).T, strict=True):
+            found[place] = found.get(place, 0.0) + force
     return found
 
 

@@ -1,0 +1,164 @@
+"""One wave in several equations: a vehicle that rolls and pitches, by a simulator of its own."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.signal import hilbert
+
+from oed_sysid import Dataset, Fit, Input, Model, MultipleShooting, Output, Parameter, Record, State
+from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.noise_model import Sea
+from oed_sysid.likelihood.realisation import forces_of_sea
+
+PERIOD = 8.0
+TRUE = {"Kp": 0.30, "Kb": 0.3, "Kd": 0.5, "Mq": 0.8, "Mb": 2.0, "Md": 0.8}
+# Standard deviations of the accelerations by waves, and by how much that in pitch is behind, rad.
+PUSH, BEHIND = np.array([0.05, 0.08]), 1.4
+UNITS = ("1/s", "1/s^2", "1/s^2")
+MODEL = Model(
+    "rolls and pitches",
+    states=(
+        State("p", "rad/s", scale=0.1),
+        State("q", "rad/s", scale=0.1),
+        State("phi", "rad", scale=0.1),
+        State("theta", "rad", scale=0.1),
+    ),
+    inputs=(Input("da", "rad"), Input("de", "rad")),
+    outputs=(
+        Output("p", "rad/s", noise_std=4e-3),
+        Output("q", "rad/s", noise_std=4e-3),
+        Output("phi", "rad", noise_std=3e-3),
+        Output("theta", "rad", noise_std=3e-3),
+    ),
+    parameters=tuple(
+        Parameter(name, 1.2 * value, unit)
+        for (name, value), unit in zip(TRUE.items(), 2 * UNITS, strict=True)
+    ),
+    kinematics={
+        "phi": "p",
+        "theta": "q",
+        "p": "-Kp*p - Kb*phi + Kd*da",
+        "q": "-Mq*q - Mb*theta + Md*de",
+    },
+    step=0.25,
+)
+
+
+def elevation(rng: np.random.Generator) -> np.ndarray:
+    """Frequency, rad/s, amplitude and phase of eighty cosines of a JONSWAP spectrum, ``(3, 80)``.
+
+    Hasselmann et al. (1973), peakedness 3.3; of a standard deviation of one.
+    """
+    peak = 2 * np.pi / PERIOD
+    w = np.linspace(0.5, 2.5, 80) * peak + rng.uniform(-0.01, 0.01, 80)
+    width = np.where(w < peak, 0.07, 0.09)
+    power = w**-5.0 * np.exp(-1.25 * (peak / w) ** 4)
+    power *= 3.3 ** np.exp(-((w - peak) ** 2) / (2 * width**2 * peak**2))
+    return np.array([w, np.sqrt(2 * power / power.sum()), rng.uniform(0, 2 * np.pi, 80)])
+
+
+@cache
+def records(seed: int, *, one_wave: bool) -> Dataset:
+    """Two runs with fins in squares, and waves of one elevation or of one for each axis."""
+    rng, found = np.random.default_rng(seed), []
+    times = 0.25 * np.arange(480)
+    for run, (first, second) in enumerate(((11.0, 7.0), (5.0, 9.0))):
+        seas = [elevation(rng)] * 2 if one_wave else [elevation(rng), elevation(rng)]
+
+        def pushes(t: float, seas: list[np.ndarray] = seas) -> np.ndarray:
+            waves = [
+                size @ np.cos(w * t + start - behind)
+                for (w, size, start), behind in zip(seas, (0.0, BEHIND), strict=True)
+            ]
+            return PUSH * waves
+
+        def fins(t: float, halves: tuple[float, float] = (first, second)) -> list[float]:
+            return [0.2 if (t // half) % 2 < 1 else -0.2 for half in halves]
+
+        state, states = np.zeros(4), []
+        for begin in times:
+            states.append(state)
+            da, de = fins(begin)
+
+            def slope(t: float, x: np.ndarray, da: float = da, de: float = de) -> list[float]:
+                k, m = pushes(t)
+                p, q, phi, theta = x
+                return [
+                    -TRUE["Kp"] * p - TRUE["Kb"] * phi + TRUE["Kd"] * da + k,
+                    -TRUE["Mq"] * q - TRUE["Mb"] * theta + TRUE["Md"] * de + m,
+                    p,
+                    q,
+                ]
+
+            state = solve_ivp(slope, (begin, begin + 0.25), state, rtol=1e-6).y[:, -1]
+        noise = [4e-3, 4e-3, 3e-3, 3e-3] * rng.standard_normal((len(times), 4))
+        inputs = np.array([fins(t) for t in times])
+        found.append(Record(f"run {run}", times, inputs, states + noise, MODEL.channels))
+    return Dataset(tuple(found))
+
+
+@cache
+def fitted(seed: int, *, one_wave: bool) -> Fit:
+    """The default fit."""
+    return MultipleShooting().fit(MODEL, records(seed, one_wave=one_wave))
+
+
+def test_one_wave_in_two_equations_is_named_with_its_phase() -> None:
+    """Period and phase are those of the sea, and values are within their intervals."""
+    fit = fitted(1, one_wave=True)
+    (wave,) = fit.noise.seas
+    assert wave.phases is not None
+    first, second = wave.phases.values()
+    assert (second - first) % (2 * np.pi) == pytest.approx(BEHIND, abs=0.15)
+    assert wave.period == pytest.approx(PERIOD, rel=0.1)
+    for name, value in TRUE.items():
+        assert abs(fit.values[name] - value) < 3.0 * fit.std_errors[name], name
+
+
+def test_one_wave_tells_derivatives_better_than_waves_apart() -> None:
+    """Each axis says what pushes the other: stated errors fall to half, none rises."""
+    together, apart = fitted(1, one_wave=True), fitted(1, one_wave=False)
+    ratios = [together.std_errors[name] / apart.std_errors[name] for name in TRUE]
+    assert np.exp(np.mean(np.log(ratios))) < 0.6
+    assert max(ratios) < 1.0
+
+
+def test_a_drawn_wave_is_what_its_phases_and_shares_say() -> None:
+    """Coherence and phase of the analytic signals of both forces."""
+    sea = Sea(
+        period=8.0, bandwidth=0.1, levels={"K": 2.0, "M": 0.5},
+        phases={"K": 0.3, "M": 1.5}, coherence={"K": 0.8, "M": 0.9},
+    )  # fmt: skip
+    times = 0.25 * np.arange(60_000)
+    forces = forces_of_sea(sea, times, np.random.default_rng(0))
+    assert forces.std(axis=0) == pytest.approx([2.0, 0.5], rel=0.05)
+    one, other = hilbert(forces / forces.std(axis=0), axis=0).T
+    together = np.mean(one * other.conj()) / 2.0
+    assert np.abs(together) == pytest.approx(0.8 * 0.9, abs=0.05)
+    assert np.angle(together) == pytest.approx(1.5 - 0.3, abs=0.05)
+
+
+def test_phases_and_shares_are_given_for_every_place() -> None:
+    """Else it is said which are missing; a share needs a phase."""
+    levels = {"K": 2.0, "M": 0.5}
+    with pytest.raises(ModelError, match="force M"):
+        Sea(period=8.0, bandwidth=0.1, levels=levels, phases={"K": 0.0})
+    with pytest.raises(ModelError, match="and a phase"):
+        Sea(period=8.0, bandwidth=0.1, levels=levels, coherence=levels)
+
+
+def test_a_sea_of_one_wave_is_saved_and_restored() -> None:
+    """With its phases and shares."""
+    (wave,) = fitted(1, one_wave=True).noise.seas
+    assert Sea.from_dict(wave.to_dict()) == wave
+    assert wave.coherence is not None
+
+
+def test_waves_of_their_own_in_each_equation_are_no_common_one() -> None:
+    """Independent elevations leave the sea as it was."""
+    (sea,) = fitted(1, one_wave=False).noise.seas
+    assert sea.phases is None
