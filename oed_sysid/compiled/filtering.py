@@ -230,7 +230,7 @@ class Disturbed:
         moving: dict[int, np.ndarray] = {}
         for at, (kind, index) in enumerate(levels):
             hit = self.touched(kind, index)
-            changed = d_mix.get((kind, int(np.argmax(hit))))
+            changed = next((d_mix[kind, j] for j in parts[hit[parts]] if (kind, j) in d_mix), None)
             if kind == WHITE_VARIANCE:
                 white[index, at] = 1.0
             elif changed is not None:

@@ -47,6 +47,7 @@ from oed_sysid.compiled.filtering import (
 )
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.disturbances import DISTURBANCE
+from oed_sysid.runtime.constants import ROUNDING
 
 SHAPES = {"jonswap": FOURTH, "velocity": -1, "displacement": 1}
 # Steps of a period over which the force of a sea is held at most: a wave held that long loses 1 %
@@ -193,6 +194,11 @@ class Sea:
     def acts(self) -> bool:
         """Whether any level is above zero."""
         return bool(np.any(self.level > 0))
+
+    @property
+    def is_broad(self) -> bool:
+        """Whether it is as wide as an estimation lets it be, and so no wave."""
+        return (self.bandwidth or 0.0) >= 2.0 * DAMPING[1] * (1.0 - ROUNDING)
 
     def with_levels(self, level: np.ndarray) -> Sea:
         """Return the same sea with other levels in its places."""

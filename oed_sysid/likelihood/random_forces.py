@@ -646,7 +646,9 @@ def with_sea(
 
 
 def _clearly_a_sea(sea: FilteredSolution, found: FilteredSolution, setting: Setting) -> bool:
-    """Whether a sea is clearly likelier than forces of first order."""
+    """Whether a sea is clearly likelier than forces of first order, and its width at no bound."""
+    if sea.noise.seas[0].is_broad:
+        return False  # as broad as that it is no wave
     # Held over the same shorter steps, these may be as likely.
     own, most = _own_times(found, found.noise), sea.noise.longest_hold
     problem = posed(found, setting, found.noise, own_times=own, longest_hold=most)
