@@ -18,7 +18,7 @@ from benchmarks.harness import ONE_THREAD, command, known
 
 FOLDER = Path(__file__).resolve().parent
 QUICK = ("kernel", "information", "startup", "score", "growth", "swarm", "fit_speed")
-PARTS = ("__init__", "__main__", "harness", "rates", "truth")
+PARTS = ("__init__", "__main__", "harness", "rates", "spikes", "truth")
 
 
 def benchmarks() -> dict[str, str]:

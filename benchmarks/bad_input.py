@@ -15,9 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import ROOT, Row, command, markdown, table_of, write_page
-from oed_sysid.data.dataset import read_csv
-from oed_sysid.errors import OedSysidError
-from oed_sysid.experiments.problem import load_problem
+from oed_sysid import OedSysidError, load_problem, read_csv
 
 sys.path.insert(0, str(ROOT / "tests"))
 from bad_input import csv_files, folder_of, problem_files, written

@@ -21,20 +21,17 @@ import numpy as np
 
 from benchmarks.harness import command, known
 from benchmarks.other_vehicles.models import modelled
-from oed_sysid import Experiment, Limits, Model, load_problem
-from oed_sysid.design import (
+from oed_sysid import (
     AOptimal,
-    Caution,
-    Design,
     DOptimal,
     EOptimal,
-    Knowledge,
-    Levels,
-    Search,
-    Trial,
-    assess_limits,
+    Experiment,
+    Limits,
+    Model,
     design_experiment,
+    load_problem,
 )
+from oed_sysid.design import Caution, Design, Knowledge, Levels, Search, Trial, assess_limits
 from oed_sysid.design.vehicles import draw_models
 from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.experiments.manoeuvres import ZigZag

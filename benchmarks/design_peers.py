@@ -26,12 +26,10 @@ from benchmarks.design import CRITERIA as OURS
 from benchmarks.design import remus
 from benchmarks.fit_peers import run_peer
 from benchmarks.harness import command, known, machine
-from oed_sysid import Experiment
+from oed_sysid import Experiment, Model, information_of
 from oed_sysid.design import Design, Knowledge, Levels, Search, design_experiment
 from oed_sysid.design.library import as_piecewise
 from oed_sysid.experiments.simulation import Trajectory, simulate, simulate_inputs
-from oed_sysid.information import information_of
-from oed_sysid.physics.model import Model
 
 VEHICLE = remus()
 STEP = VEHICLE.sample_time

@@ -24,11 +24,7 @@ from typing import Any, AnyStr
 import numpy as np
 
 from benchmarks.harness import ROOT, Row, exam, known, places_of
-from oed_sysid.data.dataset import read_csv
-from oed_sysid.errors import OedSysidError
-from oed_sysid.experiments.problem import load_problem
-from oed_sysid.likelihood.fit import Fit
-from oed_sysid.physics.channels import Channels, Input, Output
+from oed_sysid import Channels, Fit, Input, OedSysidError, Output, load_problem, read_csv
 from oed_sysid.text import dimensions, expressions, notation, units
 
 sys.path.insert(0, str(ROOT / "tests"))

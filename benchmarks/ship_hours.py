@@ -32,15 +32,8 @@ import numpy as np
 from benchmarks.harness import RESULTS, Row, Store, command, ignorant, tabulate
 from benchmarks.missing_physics.simulator import Case, Truth, integrate
 from benchmarks.realised import sea
-from oed_sysid import Experiment, Limits, Model, NoiseModel, load_problem
-from oed_sysid.design import (
-    AOptimal,
-    Budget,
-    DOptimal,
-    Knowledge,
-    ProgrammeSearch,
-    design_programme,
-)
+from oed_sysid import AOptimal, DOptimal, Experiment, Limits, Model, NoiseModel, load_problem
+from oed_sysid.design import Budget, Knowledge, ProgrammeSearch, design_programme
 from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.manoeuvres import TurningCircle, ZigZag
 from oed_sysid.experiments.simulation import simulate

@@ -1,10 +1,9 @@
 """Spikes, bursts and drop-outs of sensors: what the default fit makes of them.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.spikes [worlds] [--sets 100] [--seed 0] [--kinds 2%_20]
-
 Data sets of `benchmarks.random_forces` are spoilt after the simulation (the pilot saw none of it)
 and fitted with ``MultipleShooting()``; each is compared with the fit to the same set unspoilt,
-``clean`` with the one that looks for no spikes (``loss="square"``). What spoils a record:
+``clean`` with the one that looks for no spikes (``loss="square"``); docs/estimation.md has the
+numbers (`python -m benchmarks.documents estimation`). What spoils a record:
 
 ``share_size``
     This share of the samples of every output is off by so many standard deviations of its noise,
@@ -22,20 +21,16 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
-from itertools import product
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import RESULTS, TWO_SIDED_95, Row, Store, known, markdown, study
+from benchmarks.harness import TWO_SIDED_95, Row
 from benchmarks.random_forces.measures import errors
 from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES
 from benchmarks.random_forces.simulator import Set, simulate, stream
 from benchmarks.random_forces.trial import Outcome, outcome
 
-STORE = Store(RESULTS / "spikes.jsonl", key=lambda row: tuple(row["key"]))
-WORLDS = ("white", "ship_white")
 # Spoils the outputs of one record; noise levels and random numbers as arguments.
 Spoil = Callable[[np.ndarray, np.ndarray, np.random.Generator], np.ndarray]
 
@@ -151,50 +146,3 @@ def measured(fits: Sequence[Outcome], clean: Sequence[Outcome]) -> Row:
         "concerns": dict(sorted(Counter(kind for own in warned for kind in own).items())),
     }
     return {name: round(v, 4) if isinstance(v, float) else v for name, v in found.items()}
-
-
-COLUMNS: dict[str, Callable[[Row], object]] = {
-    "world": lambda row: f"{row['key'][0]} ({row['key'][2]})",
-    "spoilt by": lambda row: row["key"][1],
-    "95 % intervals hold (worst)": lambda row: (
-        f"{row['coverage']:.1f} ± {row['coverage_error']:.1f} ({row['worst']:.0f})"
-    ),
-    "error over clean (worst)": lambda row: f"{row['ratio']:.3f} ({row['worst_ratio']:.2f})",
-    **{name: itemgetter(name) for name in ("not_ok", "raised", "forces", "left_out", "seconds")},
-    "time over clean": itemgetter("slower"),
-    "concerns": lambda row: ", ".join(f"{name} {n}" for name, n in row["concerns"].items()),
-}
-
-
-def table(rows: Sequence[Row]) -> str:
-    """Finished cases as Markdown."""
-    return "\n".join(markdown([*COLUMNS], ([one(row) for one in COLUMNS.values()] for row in rows)))
-
-
-def cases(
-    worlds: Sequence[str] = WORLDS,
-    *,
-    sets: int = 100,
-    seed: int = 0,
-    kinds: Sequence[str] = ("clean", *KINDS),
-) -> dict[tuple[object, ...], partial[Row]]:
-    """Kinds of spoilt samples in some worlds.
-
-    Parameters
-    ----------
-    worlds : sequence of str
-        scenarios of random_forces
-    sets : int
-        data sets of each
-    seed : int
-        of the data sets
-    kinds : sequence of str
-        what spoils them; all by default
-    """
-    pairs = product(worlds, [known(kind, ("clean", *KINDS), "kind") for kind in kinds])
-    keys = [(known(world, SCENARIOS, "world"), kind, sets, seed) for world, kind in pairs]
-    return {key: partial(case, *key) for key in keys}
-
-
-if __name__ == "__main__":
-    study(cases, table, STORE, tell=lambda row: " ".join(row["key"][:2]))

@@ -30,6 +30,7 @@ from benchmarks.harness import Row, command, known, table_of
 from benchmarks.truth import gauss_markov, runge_kutta
 from oed_sysid import (
     Dataset,
+    Experiment,
     Input,
     Model,
     Output,
@@ -462,6 +463,20 @@ def faults(seeds: range, only: str = "", crafts: Sequence[Craft] = ()) -> list[R
     return rows
 
 
+Act = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
+
+
+def replayed(
+    truth: Model, experiment: Experiment, act: Act, number: int, rng: np.random.Generator
+) -> Record:
+    """A record in which something else acted than the commands of its first input, as logged."""
+    logged = simulate(truth, experiment, rng=rng)
+    acted = act(logged.times, logged.inputs[:, 0], number)
+    replay = FromRecord(truth.input_names[0], logged.times, acted)
+    run = simulate(truth, replace(experiment, manoeuvre=replay), rng=rng)
+    return replace(run, inputs=logged.inputs)
+
+
 def inputs(seeds: range, only: str = "", crafts: Sequence[Craft] = ()) -> list[Row]:
     """Inputs of a shipped problem whose true values are drawn from the priors of its model."""
     problem, rows = load_problem("remus_diving_plane"), list[Row]()
@@ -473,20 +488,16 @@ def inputs(seeds: range, only: str = "", crafts: Sequence[Craft] = ()) -> list[R
                      for p in problem.model.free_parameters if p.prior_std}  # fmt: skip
             truth_ = problem.model.with_values(drawn)
             runs = []
-            for k, (name, experiment) in enumerate(problem.experiments.items()):
-                run = simulate(truth_, experiment, rng=rng, name=name)
-                spoilt = np.array(run.inputs)
+            for k, experiment in enumerate(problem.experiments.values()):
                 if kind in ACTED:
-                    acted = ACTED[kind](run.times, spoilt[:, 0], k)
-                    replay = FromRecord(run.channels.input_names[0], run.times, acted)
-                    run = simulate(
-                        truth_, replace(experiment, manoeuvre=replay), rng=rng, name=name
-                    )
-                else:
-                    spoilt[:, 0] = INPUTS[kind](run.times, spoilt[:, 0])
+                    runs.append(replayed(truth_, experiment, ACTED[kind], k, rng))
+                    continue
+                run = simulate(truth_, experiment, rng=rng)
+                spoilt = np.array(run.inputs)
+                spoilt[:, 0] = INPUTS[kind](run.times, spoilt[:, 0])
                 runs.append(replace(run, inputs=spoilt))
             found = check(Dataset(tuple(runs)), problem)
-            mine = {*run.channels.input_names}
+            mine = {*problem.model.input_names}
             every = [one for one in found.findings if one.suspect or mine & {*one.signals}]
             said.append("; ".join(one.name + " (note)" * (not one.suspect) for one in every) or "-")
         if said:
@@ -516,7 +527,7 @@ INPUTS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "dead": lambda t, y: 0.0 * y,
 }
 # What acted of commands that were written, in the second record at least.
-ACTED: dict[str, Callable[[np.ndarray, np.ndarray, int], np.ndarray]] = {
+ACTED: dict[str, Act] = {
     "command, lag 0.5 s": lambda t, y, k: _lagged(t, y),
     "no effect from 0.6": lambda t, y, k: np.where((k == 1) & (t > 0.6 * t[-1]), 0.0, y),
     "no effect in a run": lambda t, y, k: 0.0 * y if k == 1 else y,

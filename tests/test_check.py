@@ -27,24 +27,19 @@ from kinematic_logs import (
     read_filled,
 )
 from marks import slow
-from motion import UNITS, outputs, states
+from motion import UNITS, outputs, small, states
 from scipy.fft import dct
 from scipy.signal import lfilter
 from simple_models import nomoto
 from yaw_vehicle import TRUE, yaw_data, yaw_model
 
 from benchmarks.spoilt_logs import COPIES as SPOILS
-from benchmarks.spoilt_logs import named_as, spoil
+from benchmarks.spoilt_logs import Act, named_as, replayed, spoil
+from oed_sysid import Experiment, Model, Output, Solver, State, ZigZag, check, simulate
 from oed_sysid.cli import main
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.evidence import inputs
-from oed_sysid.evidence.check import (
-    LogCheck,
-    advised,
-    check,
-    corrected_copies,
-    with_estimates,
-)
+from oed_sysid.evidence.check import LogCheck, advised, corrected_copies, with_estimates
 from oed_sysid.evidence.contrasts import contrasts, fitted_law, laws, readings
 from oed_sysid.evidence.corrections import as_measured, lagged
 from oed_sysid.evidence.inputs import between_runs, scaled_inputs
@@ -53,18 +48,11 @@ from oed_sysid.evidence.relations import Relation, integral, relations, spare_si
 from oed_sysid.evidence.result import Correction
 from oed_sysid.evidence.screens import screen
 from oed_sysid.evidence.traces import Trace
-from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.experiments.manoeuvres import ZigZag
 from oed_sysid.experiments.problem import Problem, load_problem
-from oed_sysid.experiments.schedules import FromRecord
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.departures import CLEAR
-from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
 from oed_sysid.physics import Force, sensor_bias, sensor_scale
-from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 
 
@@ -295,10 +283,7 @@ def test_a_fit_counts_what_was_measured() -> None:
     Counted as logged it would be too small by the root of ten.
     """
     rng, t = np.random.default_rng(5), 0.1 * np.arange(2000)
-    model = Model(
-        "line", (State("x", "m"),), (), (Output("x", "m"),), {"x": "a"},
-        parameters=(Parameter("a", 0.1, "m/s"),),
-    )  # fmt: skip
+    model = small("line", "x [m]", {"x": "a"}, {"a [m/s]": 0.1})
     slow = 0.2 * t[::10] + 0.3 * rng.standard_normal(200)
     record = Record("run", t, np.zeros((2000, 0)), np.repeat(slow, 10)[:, None], model.channels)
     logged = Dataset((record,))
@@ -398,10 +383,8 @@ def test_accelerations_that_are_held_make_no_scale(logged: float) -> None:
 
     A real error of 10 % leads what is found, and its interval holds both.
     """
-    buoy = Model(
-        "buoy", states("z w"), (Input("push", "m/s^2"),), outputs("z w"),
-        {"z": "w", "w": "A*push"}, parameters=(Parameter("A", 1.0),), step=0.5,
-    )  # fmt: skip
+    law = {"z": "w", "w": "A*push"}
+    buoy = small("buoy", "z [m], w [m/s] <- push [m/s^2]", law, {"A": 1.0}, step=0.5)
     rng, t = np.random.default_rng(0), 0.5 * np.arange(400)
     push = np.cos(2.0 * np.pi * t / 6.0)
     w = np.append(0.0, np.cumsum(0.5 * push)[:-1])
@@ -729,28 +712,16 @@ def test_an_input_that_was_not_logged_is_missed_by_the_motion(dives_inputs) -> N
     assert all(one.says for one in rows)
 
 
-def replayed(
-    problem: Problem,
-    act: Callable[[np.ndarray, np.ndarray, int], np.ndarray],
-    names: tuple[str, ...] = TWO,
-) -> Dataset:
+def of_dives(problem: Problem, act: Act, names: tuple[str, ...] = TWO) -> Dataset:
     """Records in which something else acted than the fin commands that were logged."""
-    rng, runs = np.random.default_rng(3), []
-    fin = problem.model.input_names.index("fin_command")
-    for k, name in enumerate(names):
-        run = problem.experiments[name]
-        first = simulate(problem.model, run, rng=rng, name=name)
-        acted = act(first.times, first.inputs[:, fin], k)
-        replay = FromRecord("fin_command", first.times, acted)
-        record = simulate(problem.model, replace(run, manoeuvre=replay), rng=rng, name=name)
-        runs.append(replace(record, inputs=first.inputs))
-    return Dataset(tuple(runs))
+    rng, runs = np.random.default_rng(3), [problem.experiments[name] for name in names]
+    return Dataset([replayed(problem.model, run, act, k, rng) for k, run in enumerate(runs)])
 
 
 def test_an_input_without_effect_is_told_from_the_moment_on() -> None:
     """The fin is let go at 60 % of the second run: all of its effect is lost there, and then."""
     problem = load_problem("remus_diving_plane")
-    data = replayed(problem, lambda t, y, k: np.where((k == 1) & (t > 0.6 * t[-1]), 0.0, y))
+    data = of_dives(problem, lambda t, y, k: np.where((k == 1) & (t > 0.6 * t[-1]), 0.0, y))
     (found,) = check(data, problem).serious
     assert (found.kind, found.signals, found.records) == (
         "lost",
@@ -775,7 +746,7 @@ def lagging(t: np.ndarray, y: np.ndarray, k: int) -> np.ndarray:
 def test_a_command_in_place_of_the_feedback_is_a_lag(kind: str, act) -> None:  # type: ignore[no-untyped-def]
     """What lags by half a second in first order is told from what comes late by as much."""
     problem = load_problem("remus_diving_plane")
-    records = replayed(problem, act, TWO[1:] if kind == "lag" else TWO)
+    records = of_dives(problem, act, TWO[1:] if kind == "lag" else TWO)
     found = check(records, problem)
     assert found.ok  # good to know: a model that lacks physics shows the like
     assert as_measured(records, found) == (records, ())
@@ -867,15 +838,9 @@ def test_values_far_from_their_priors_make_a_log_suspect(dives_inputs) -> None: 
 
 def test_a_claim_that_puts_the_log_right_answers_its_findings() -> None:
     """A scale of x reads as one of v in x' = v: undone with its estimate, nothing is left of it."""
-    model = Model(
-        "sled",
-        (State("x", "m"), State("v", "m/s")),
-        (Input("u", "1"),),
-        (Output("x", "m", noise_std=0.02), Output("v", "m/s", noise_std=0.01)),
-        {"x": "v", "v": "b*u - d*v"},
-        parameters=(Parameter("b", 0.3, "m/s^2"), Parameter("d", 0.4, "1/s")),
-        step=0.1,
-    )
+    law, values = {"x": "v", "v": "b*u - d*v"}, {"b [m/s^2]": 0.3, "d [1/s]": 0.4}
+    noise = {"x": 0.02, "v": 0.01}
+    model = small("sled", "x [m], v [m/s] <- u [1]", law, values, noise, step=0.1)
     rng = np.random.default_rng(5)
     times, commands = np.arange(400) * 0.1, np.repeat(rng.choice([-1.0, 1.0], 20), 20)
     v = np.zeros(400)
@@ -984,14 +949,8 @@ def test_relations_come_from_the_model_in_its_own_names() -> None:
 
 def test_equations_with_unknown_parameters_are_left_alone() -> None:
     """A current that is to be estimated makes the equation of the position useless here."""
-    model = Model(
-        "drifting",
-        states=(State("x", "m"), State("u", "m/s")),
-        inputs=(),
-        outputs=(Output("x", "m"), Output("u", "m/s")),
-        kinematics={"x": "u + current", "u": "-u"},
-        parameters=(Parameter("current", 0.0, "m/s"),),
-    )
+    law = {"x": "u + current", "u": "-u"}
+    model = small("drifting", "x [m], u [m/s]", law, {"current [m/s]": 0.0})
     assert relations(model) == ()
     assert len(relations(model.fix("current"))) == 1
 
@@ -1009,14 +968,7 @@ def test_six_degrees_of_freedom_follow_from_standard_names() -> None:
     )
     # Identity kinematics with a parameter: the model does not say; names do not override it.
     assert relations(model) == ()
-    free = Model(
-        "sensors",
-        states=(State("s", "m"),),
-        inputs=(),
-        outputs=(Output("s", "m"),),
-        kinematics={"s": "-a*s"},
-        parameters=(Parameter("a", 1.0),),
-    )
+    free = small("sensors", "s [m]", {"s": "-a*s"}, {"a": 1.0})
     found = {r.target: r for r in relations(free, spare=names)}
     assert set(found) == {"x", "y", "z", "phi", "theta", "psi"}
     rng = np.random.default_rng(3)
@@ -1063,14 +1015,7 @@ def test_missing_and_sparse_signals_are_no_faults() -> None:
 
 def test_log_without_equations_says_so() -> None:
     """Where nothing relates the signals, that is the verdict."""
-    model = Model(
-        "roll",
-        states=(State("phi", "rad"),),
-        inputs=(),
-        outputs=(Output("phi", "rad"),),
-        kinematics={"phi": "-a*phi"},
-        parameters=(Parameter("a", 1.0, "1/s"),),
-    )
+    model = small("roll", "phi [rad]", {"phi": "-a*phi"}, {"a [1/s]": 1.0})
     t = np.arange(300) * 0.1
     rng = np.random.default_rng(0)
     record = Record(
@@ -1126,20 +1071,13 @@ def test_moments_are_not_told_by_a_speed_that_is_smoothed_from_positions() -> No
     """A sway speed from a receiver moves before the rudder that moves it: no delay is asked."""
     priors = {"Yv": -0.1, "Yr": -3.0, "Yd": 0.1, "Nv": -0.002, "Nr": -0.2, "Nd": -0.01}
     sides = {"x": "7*cos(psi) - v*sin(psi)", "y": "7*sin(psi) + v*cos(psi)"}
-    ship = Model(
-        "ship",
-        states=(State("v", "m/s"), State("r", "rad/s"), State("psi", "rad"), State("x", "m"),
-                State("y", "m")),
-        inputs=(Input("delta", "rad"),),
-        outputs=(Output("r", "rad/s", noise_std=5e-4), Output("psi", "rad", noise_std=2e-3),
-                 Output("x", "m", noise_std=0.3), Output("y", "m", noise_std=0.3)),
-        kinematics={"v": "Yv*v + Yr*r + Yd*delta", "r": "Nv*v + Nr*r + Nd*delta", "psi": "r"}
-        | sides,
-        parameters=tuple(
-            Parameter(n, one, prior_mean=one, prior_std=0.2 * abs(one)) for n, one in priors.items()
-        ),
-        step=0.5,
-    )  # fmt: skip
+    law = {"v": "Yv*v + Yr*r + Yd*delta", "r": "Nv*v + Nr*r + Nd*delta", "psi": "r"}
+    signals = "v [m/s], r [rad/s], psi [rad], x [m], y [m] <- delta [rad]"
+    values = [
+        Parameter(n, one, prior_mean=one, prior_std=0.2 * abs(one)) for n, one in priors.items()
+    ]
+    noise = {"r": 5e-4, "psi": 2e-3, "x": 0.3, "y": 0.3}
+    ship = small("ship", signals, law | sides, values, noise, step=0.5)
     turn = ZigZag("delta", 0.35, 0.35, sign=-1, rate=0.05)
     record = simulate(
         ship, Experiment("zigzag", turn, duration=240.0, sample_time=0.5),
