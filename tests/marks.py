@@ -1,10 +1,13 @@
-"""Marks of cases in a table of tests."""
+"""Marks of tests and of cases in a table of them."""
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import pytest
+
+MEASURED = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 
 
 def slow(*cases: Any) -> list[Any]:

@@ -1,11 +1,11 @@
 """Models whose expressions hold bare numbers: read with a note, refused only where nothing helps.
 
-Seven folders as people write them, each with the number that a note has to name
-and with changes that no unit of a number could mend.
+Seven folders as people write them stand in ``bare_numbers.toml``.
 """
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -18,153 +18,8 @@ from oed_sysid.text.dimensions import Deduction, dimension_of
 from oed_sysid.text.units import Dimension, dimension
 
 HEAD = "from oed_sysid import Force, Input, Model, Output, Parameter, Problem, Sensor, State\n"
-SHIP = """
-hull = Force("hull", {"Y": "0.5*1025*2500*U*v*Y_v", "N": "0.5*1025*2500*180*U*v*N_v"},
-             (Parameter("Y_v", -0.01), Parameter("N_v", -0.004, "1")))
-screw = Force("screw", {"X": "1025*(1 - 0.2)*8.5**4*0.4*n_p**2 - 38.2*U**2"}, ())
-model = Model("ship",
-    states=(State("psi", "rad"), State("u", "m/s"), State("v", "m/s"), State("r", "rad/s")),
-    inputs=(Input("delta", "rad"), Input("n_p", "1/s")),
-    outputs=(Output("psi", "rad", noise_std=0.01), Output("r", "rad/s", noise_std=0.001)),
-    axes={"X": "u", "Y": "v", "N": "r"},
-    inertia={("X", "u"): "m + 0.05*m", ("Y", "v"): "m + 2.1e7", ("N", "r"): "I_z"},
-    kinematics={"psi": "r"}, signals={"U": "sqrt(u**2 + v**2)"},
-    parameters=(Parameter("m", 3e7, "kg"), Parameter("I_z", 6e10, "kg m^2")),
-    effects=(hull, screw), step=1.0)
-late = Force("late", {"Y": "E_late*v*abs(v)*exp(-3*U/7.7)"},
-    (Parameter("E_late", 0.0, "kg/m", scale=1.0),))
-problem = Problem("folder", model, effects=(late,))
-"""
-WHEEL = """
-model = Model("wheel", states=(State("v", "m/s"), State("w", "rad/s")),
-    inputs=(Input("torque", "N m"),),
-    outputs=(Output("v", "m/s", noise_std=0.01), Output("w", "rad/s", noise_std=0.1)),
-    kinematics={"v": "F/320", "w": "(torque - 0.31*F - c*w)/1.2"},
-    signals={"slip": "(0.31*w - v)/max(abs(v), 0.1)", "F": "3200*mu*sin(1.4*atan(11*slip))"},
-    parameters=(Parameter("mu", 0.9, "1"), Parameter("c", 0.1, "N m s")), step=0.01)
-scrub = Force("scrub", {"w": "-E_scrub*tanh(w/0.05)"},
-    (Parameter("E_scrub", 0.0, "rad/s^2", scale=1.0),))
-problem = Problem("folder", model, effects=(scrub,))
-"""
-FLOAT = """
-model = Model("float", states=(State("z", "m"), State("w", "m/s")), inputs=(Input("eta", "m"),),
-    outputs=(Output("z", "m", noise_std=0.001),),
-    axes={"Z": "w"}, inertia={("Z", "w"): "512.0"}, kinematics={"z": "w"},
-    effects=(Force("water", {"Z": "K*(eta - z) - 90*w - 410*w*abs(w)"},
-        (Parameter("K", 9810.0, "N/m"),)),),
-    step=0.05)
-stop = Force("stop", {"Z": "where(abs(z) > 0.4, -E_stop*(abs(z) - 0.4)*sign(z), 0)"},
-             (Parameter("E_stop", 0.0, "N/m", scale=1e4),))
-problem = Problem("folder", model, effects=(stop,))
-"""
-BENCH = """
-model = Model("bench", states=(State("x", "m"), State("v", "m/s")), inputs=(Input("F", "N"),),
-    outputs=(Output("x", "m", noise_std=1e-5),),
-    kinematics={"x": "v", "v": "(F - c*v - (1.5 + 0.8*exp(-(v/0.02)**2))*tanh(v/0.001))/m"},
-    parameters=(Parameter("m", 2.0, "kg"), Parameter("c", 4.0, "N s/m")), step=0.01)
-drift = Sensor("drift", {"x": "x + E_x*(t/60)"}, (Parameter("E_x", 0.0, "m"),))
-problem = Problem("folder", model, effects=(drift,))
-"""
-TANK = """
-model = Model("tank", states=(State("h1", "m"),), inputs=(Input("pump", "V"),),
-    outputs=(Output("h1", "m", noise_std=0.001),),
-    kinematics={"h1": "(3.3e-6*min(pump, 12) - a*sqrt(2*9.81*h1))/0.0028"},
-    parameters=(Parameter("a", 7e-6, "m^2"),), step=1.0)
-problem = Problem("folder", model)
-"""
-GLIDER = """
-model = Model("glider", states=(State("depth", "m"), State("theta", "rad"), State("q", "rad/s")),
-    inputs=(Input("battery", "m"),),
-    outputs=(Output("depth", "m", noise_std=0.1), Output("theta", "rad")),
-    axes={"M": "q"}, inertia={("M", "q"): "65"},
-    kinematics={"depth": "-0.35*sin(theta)", "theta": "q"}, signals={"rho": "1025*(1 + depth/2e5)"},
-    effects=(Force("pitch", {"M": "-9.81*9*battery*cos(theta) + rho/1000*M_q*q*0.35"},
-                   (Parameter("M_q", -400.0, "N m s"),)),), step=0.5)
-problem = Problem("folder", model)
-"""
-DRIVE = """
-model = Model("drive", states=(State("i", "A"), State("n", "1/s")), inputs=(Input("u_a", "V"),),
-    outputs=(Output("n", "1/s", noise_std=0.1),),
-    kinematics={"i": "(u_a - R*i - 0.23*n)/0.0015", "n": "(0.037*i - 1e-4*n - 2.5e-5*n**2)/J"},
-    parameters=(Parameter("R", 1.1, "Ohm"), Parameter("J", 2e-3)), step=0.001)
-problem = Problem("folder", model)
-"""
-
-# Kind, text, notes that it has to give, and what each of its changes is refused with.
-FOLDERS = [
-    (
-        "ship",
-        SHIP,
-        ("N: 0.5*1025*2500*180 is read as kg.", "X: 38.2 is read as kg/m.", "3/7.7 is read as s/m"),
-        (
-            ("sqrt(u**2 + v**2)", "sqrt(u**2 + r**2)", "m^2/s^2 meets rad^2/s^2"),
-            ("exp(-3*U/7.7)", "exp(-U)", "m/s meets 1"),
-            ("m + 0.05*m", "m + I_z", "kg meets kg m^2"),
-        ),
-    ),
-    (
-        "wheel",
-        WHEEL,
-        (
-            "signal 'slip': 0.31 is read as m",
-            "0.1 is read as m/s",
-            "0.05 is read as 1/s",
-            "1.2 is read as kg m^2",
-        ),
-        (
-            ("tanh(w/0.05)", "tanh(w)", "rad/s meets 1"),
-            ("(0.31*w - v)", "(w - v)", "rad/s meets m/s"),
-        ),
-    ),
-    (
-        "float",
-        FLOAT,
-        (
-            "512.0 is read as kg.",
-            "90 is read as kg/s.",
-            "410 is read as kg/m.",
-            "0.4 is read as m.",
-        ),
-        (
-            ("K*(eta - z)", "K*(eta - w)", "m meets m/s"),
-            ("abs(z) > 0.4", "abs(z) > w", "m meets m/s"),
-        ),
-    ),
-    (
-        "bench",
-        BENCH,
-        ("1.5 is read as N.", "0.8 is read as N.", "0.02 is read as m/s.", "60 is read as s."),
-        (
-            ("v/0.02", "v/m", "m^2"),
-            ("F - c*v", "F - c*x", "N meets"),
-            ("E_x*(t/60)", "E_x*t", "m meets m s"),
-        ),
-    ),
-    (
-        "tank",
-        TANK,
-        ("12 is read as V", "0.0028, 3.3e-6, 2*9.81 have units that follow from one another"),
-        (
-            ("2*9.81*h1", "2*9.81*(h1 + a)", "m meets m^2"),
-            ("min(pump, 12)", "min(pump, h1)", "meets m"),
-        ),
-    ),
-    (
-        "glider",
-        GLIDER,
-        ("65 is read as kg m^2", "9.81*9 is read as N", "2e5 is read as m"),
-        (
-            ("cos(theta)", "cos(depth)", "m meets 1"),
-            ('theta": "q', 'theta": "depth', "expected rad/s"),
-        ),
-    ),
-    (
-        "drive",
-        DRIVE,
-        ("0.23 is read as s V", "0.0015 is read as kg m^2/(s^2 A^2)"),
-        (("u_a - R*i", "u_a - R*n", "meets"), ("u_a - R*i", "u_a - i", "V meets A")),
-    ),
-]
+FOLDERS = tomllib.loads(Path(__file__).with_name("bare_numbers.toml").read_text(encoding="utf-8"))
+SHIP, FLOAT = (FOLDERS[kind]["text"] for kind in ("ship", "float"))
 
 
 def write(folder: Path, text: str) -> Path:
@@ -175,23 +30,19 @@ def write(folder: Path, text: str) -> Path:
     return place
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"), [one[1:3] for one in FOLDERS], ids=[one[0] for one in FOLDERS]
-)
-def test_folder_loads_and_says_how_it_was_read(
-    tmp_path: Path, text: str, expected: tuple[str, ...]
-) -> None:
+@pytest.mark.parametrize("kind", FOLDERS)
+def test_folder_loads_and_says_how_it_was_read(tmp_path: Path, kind: str) -> None:
     """A folder with bare numbers loads, and notes say which number got which unit."""
-    problem = load_problem(write(tmp_path, text))
+    problem = load_problem(write(tmp_path, FOLDERS[kind]["text"]))
     said = "\n".join(problem.notes())
-    for words in expected:
+    for words in FOLDERS[kind]["notes"]:
         assert words in said
     assert f"note: {problem.notes()[0]}" in problem.describe()
 
 
 @pytest.mark.parametrize(
     ("text", "old", "new", "words"),
-    [(text, *change) for _, text, _, changes in FOLDERS for change in changes],
+    [(one["text"], *change) for one in FOLDERS.values() for change in one["changes"]],
 )
 def test_what_no_number_mends_is_refused(
     tmp_path: Path, text: str, old: str, new: str, words: str

@@ -9,6 +9,8 @@ from functools import cache, partial
 import numpy as np
 import pytest
 from altered import part
+from motion import small
+from published import PUBLISHED
 from scipy.spatial.distance import cdist
 from simple_models import NOMOTO
 from test_estimators import TEST as MULTISINE
@@ -16,6 +18,7 @@ from test_estimators import YAW as DAMPED_YAW
 
 from benchmarks.documents.published import paper
 from benchmarks.documents.published.auv import exact_errors
+from oed_sysid import Dataset, Doublet, Experiment, Model, Piecewise, Record, load_problem, simulate
 from oed_sysid.baselines import (
     EquationError,
     EquationStream,
@@ -30,15 +33,9 @@ from oed_sysid.baselines.equations import exact_rates, local_cubic, regression_f
 from oed_sysid.baselines.fourier import FourierRegression, FourierStream
 from oed_sysid.baselines.least_squares import TotalLeastSquares, generalised_tls
 from oed_sysid.baselines.support_vectors import train
-from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, ModelError, PrecisionWarning, library
-from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.experiments.manoeuvres import Doublet, Piecewise
-from oed_sysid.experiments.problem import load_problem
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.physics import Actuator, Force, Memory, Sensor
 from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.testing import check_estimator
 
@@ -47,16 +44,11 @@ RECORD = simulate(AUV.model, AUV.experiment("zigzag_5_5"), noise=False)
 DATA = Dataset((RECORD,))
 SCRIPT = paper("auv_diving_plane")
 
-YAW = Model(
-    "yaw",
-    (State("r", "rad/s"),),
-    (Input("delta", "rad"),),
-    (Output("r", "rad/s", noise_std=1e-3),),
-    axes={"N": "r"},
-    inertia={("N", "r"): "T"},
-    effects=(Force("turn", {"N": "K*delta - r"}, (Parameter("K", 0.1, "1/s"),)),),
-    parameters=(Parameter("T", 10.0, "s"),),
-)
+TURN = Force("turn", {"N": "K*delta - r"}, (Parameter("K", 0.1, "1/s"),))
+YAW = small(
+    "yaw", "r [rad/s] <- delta [rad]", {}, {"T [s]": 10.0}, 1e-3,
+    axes={"N": "r"}, inertia={("N", "r"): "T"}, effects=(TURN,),
+)  # fmt: skip
 
 
 def errors(fit) -> dict[str, float]:
@@ -73,28 +65,7 @@ def test_exact_accelerations_give_every_coefficient_back() -> None:
 
 
 # Printed by an independent program for the same trajectory, per cent (trapezoid, Simpson, Euler).
-INDEPENDENT = {
-    "simpson": {
-        "X_qq": 0.0,
-        "X_wq": -0.01,
-        "Z_uu": -1.85,
-        "Z_uw": 0.24,
-        "Z_uabsw": 36.55,
-        "Z_absww": -0.18,
-        "Z_uq": -0.44,
-        "Z_wabsq": -185.68,
-        "Z_uuds": -0.72,
-        "M_uu": 0.24,
-        "M_uw": -1.79,
-        "M_uabsw": 43.92,
-        "M_absww": 752.54,
-        "M_uq": -0.63,
-        "M_uuds": -0.61,
-        "z_BB": -0.72,
-    },
-    "trapezoid": {"X_qq": 0.99, "X_wq": 0.43, "X_ww": -0.72, "Z_absww": 97.94, "z_BB": -0.39},
-    "euler": {"X_qq": 13.61, "X_ww": -17.52, "Z_uw": 14.11, "Z_wabsq": -3953.51, "z_BB": -10.06},
-}
+INDEPENDENT = PUBLISHED["diving_plane"]
 
 
 @pytest.mark.parametrize("rule", INDEPENDENT)
@@ -402,16 +373,7 @@ def test_primal_state_does_not_grow() -> None:
 
 
 # Printed by an independent program, per cent, after 60 and after 200 samples.
-INDEPENDENT_ONLINE = {
-    "trapezoid": (
-        [-1.317, -0.831, -1.375, -1.077, 0.637, -0.531],
-        [-0.14, -0.113, -0.197, -0.198, 0.115, -0.119],
-    ),
-    "euler": (
-        [-0.015, -5.843, -24.295, -16.707, 4.483, -9.991],
-        [-16.332, -14.37, -3.563, -3.27, 11.719, -2.728],
-    ),
-}
+INDEPENDENT_ONLINE = PUBLISHED["tanker"]
 
 
 @pytest.mark.parametrize("rule", INDEPENDENT_ONLINE)

@@ -8,6 +8,7 @@ from math import radians
 import numpy as np
 import pytest
 from marks import slow
+from published import PUBLISHED
 
 from benchmarks.documents.published import paper
 from benchmarks.documents.published.sailboat import errors, exact, gibbs, in_errors
@@ -22,25 +23,7 @@ PROBLEM = load_problem("auv_diving_plane")
 RECORD = simulate(PROBLEM.model, PROBLEM.experiment("zigzag_5_5"), noise=False)
 SCRIPT = paper("auv_diving_plane")
 # An independent program's total sensitivity to a change of each coefficient by 20 per cent.
-SENSITIVITY = {
-    "M_absww_prime": 0.0001,
-    "Z_wabsq_prime": 0.0004,
-    "Z_absww_prime": 0.0006,
-    "X_ww_prime": 0.0011,
-    "X_qq_prime": 0.0014,
-    "X_wq_prime": 0.0014,
-    "M_uabsw_prime": 0.0021,
-    "Z_uabsw_prime": 0.0043,
-    "M_uu_prime": 0.0202,
-    "Z_uu_prime": 0.0981,
-    "M_uw_prime": 0.1064,
-    "Z_uw_prime": 0.1875,
-    "X_uu_prime": 0.1903,
-    "M_uq_prime": 0.3014,
-    "Z_uq_prime": 0.3688,
-    "M_uuds_prime": 0.4023,
-    "Z_uuds_prime": 0.4123,
-}
+SENSITIVITY = PUBLISHED["sensitivity"]
 
 
 def test_manoeuvre() -> None:

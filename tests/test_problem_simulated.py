@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from marks import slow
+from published import PUBLISHED
 
 from oed_sysid import MultipleShooting, Problem, improve, load_problem, simulate, simulate_inputs
 from oed_sysid.compiled.graph import build
@@ -83,32 +84,7 @@ def test_hidden_effects_are_found(problem: Problem, judge: str, hidden: set[str]
 
 AXES = "XYZKMN"
 # Prestero (2001), tables B.1 and B.2: products of two velocities, and fins.
-TABLE_B = {
-    "X_wq": -35.5,
-    "X_qq": -1.93,
-    "X_vr": 35.5,
-    "X_rr": -1.93,
-    "Y_uv": -28.6,
-    "Y_ur": 5.22,
-    "Y_wp": 35.5,
-    "Y_pq": 1.93,
-    "Y_uudr": 9.64,
-    "Z_uw": -28.6,
-    "Z_uq": -5.22,
-    "Z_vp": -35.5,
-    "Z_rp": 1.93,
-    "Z_uuds": -9.64,
-    "M_uw": 24.0,
-    "M_uq": -2.00,
-    "M_vp": -1.93,
-    "M_rp": 4.81,
-    "M_uuds": -6.15,
-    "N_uv": -24.0,
-    "N_ur": -2.00,
-    "N_wp": -1.93,
-    "N_pq": -4.81,
-    "N_uudr": -6.15,
-}
+TABLE_B = PUBLISHED["table_B"]
 
 
 def forces(**motion: float) -> np.ndarray:
