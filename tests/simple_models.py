@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from motion import outputs
+from motion import outputs, small
 from vehicles import remus
 
 from oed_sysid import Input, Model, Output, Parameter, State
@@ -33,14 +33,8 @@ def nomoto(
 
 
 NOMOTO = nomoto()
-PENDULUM = Model(
-    "pendulum",
-    states=(State("angle", "rad"), State("rate", "rad/s")),
-    inputs=(),
-    outputs=(Output("angle", "rad"),),
-    kinematics={"angle": "rate", "rate": "-4*sin(angle)"},
-    step=0.01,
-)
+LAW = {"angle": "rate", "rate": "-4*sin(angle)"}
+PENDULUM = small("pendulum", "angle [rad], rate [rad/s]", LAW, noise={"angle": None}, step=0.01)
 # Diving plane of an AUV, one parameter free; actuator lag and depth-sensor lag have memory.
 AUV = replace(
     remus() + actuator_lag("fin_lag", "ds", value=0.3) + sensor_lag("depth_lag", "z", value=0.5),

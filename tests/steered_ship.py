@@ -5,21 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from motion import small
 
-from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State
+from oed_sysid import Dataset, Parameter, Record
 
-YAW = Model(
-    "yaw",
-    (State("r", "rad/s", scale=0.1), State("psi", "rad")),
-    (Input("delta", "rad"),),
-    (Output("psi", "rad", noise_std=0.002), Output("r", "rad/s", noise_std=0.002)),
-    {"r": "(K*delta - r)/T", "psi": "r"},
-    parameters=(
-        Parameter("K", 0.3, "1/s", prior_std=0.1),
-        Parameter("T", 3.0, "s", lower=0.1, prior_std=1.0),
-    ),
-    step=0.2,
-)
+VALUES = [
+    Parameter("K", 0.3, "1/s", prior_std=0.1),
+    Parameter("T", 3.0, "s", lower=0.1, prior_std=1.0),
+]
+SIGNALS, LAW = "r [rad/s], psi [rad] <- delta [rad]", {"r": "(K*delta - r)/T", "psi": "r"}
+LEVELS = {"psi": 0.002, "r": 0.002}
+YAW = small("yaw", SIGNALS, LAW, VALUES, LEVELS, scales={"r": 0.1}, step=0.2)
 STEP, LEVEL, TIME, NOISE = 0.2, 0.02, 4.0, 0.002
 FADES = np.exp(-STEP / TIME)
 # Share of a law in what accelerates the vehicle, at a motion and a command that lags by five

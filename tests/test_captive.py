@@ -12,16 +12,12 @@ from marks import slow
 from motion import outputs, states
 
 from benchmarks.truth import gauss_markov
+from oed_sysid import Dataset, Experiment, Input, Output, State, ZigZag, simulate, simulate_inputs
 from oed_sysid.baselines import MultipleShooting, OutputError, Solver
-from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, UnitWarning
-from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.experiments.manoeuvres import ZigZag
-from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.likelihood.disturbances import chosen_places
 from oed_sysid.physics import Actuator, ExtraState, Force, Parameter
-from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
 
 TRUTH = {"Y_v": -40.0, "Y_r": 25.0, "N_v": -15.0, "N_r": -60.0, "Y_d": 12.0, "N_d": -30.0}

@@ -11,6 +11,7 @@ from altered import altered, trials
 from kinematic_logs import DIVER, SHIP, Vehicle, log
 
 from benchmarks.truth import gauss_markov
+from oed_sysid import Force, Input, Model, Output, Parameter, State, load_problem, simulate_inputs
 from oed_sysid.cli import main
 from oed_sysid.data.dataset import Dataset, read_csv, write_csv
 from oed_sysid.errors import ModelError
@@ -19,19 +20,8 @@ from oed_sysid.evidence.contrasts import UNEXPLAINED, unexplained
 from oed_sysid.evidence.relations import relations
 from oed_sysid.evidence.screens import bursts, jitter, screen, screened, steps
 from oed_sysid.evidence.traces import Trace, after_steps
-from oed_sysid.experiments.problem import load_problem
-from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.noise_levels import cubic_weights, off_cubic
-from oed_sysid.physics import (
-    Force,
-    actuator_offset,
-    backlash,
-    in_each_record,
-    steady_wind,
-)
-from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
+from oed_sysid.physics import actuator_offset, backlash, in_each_record, steady_wind
 
 TIMES = np.arange(800) * 0.1
 

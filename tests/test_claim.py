@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from marks import slow
+from motion import small
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.stats import chi2
@@ -19,13 +20,9 @@ from yaw_vehicle import yaw_data, yaw_model
 from oed_sysid import (
     Dataset,
     Force,
-    Input,
-    Model,
     NoiseModel,
-    Output,
     Parameter,
     Record,
-    State,
     improve,
 )
 from oed_sysid.errors import DataError
@@ -145,15 +142,9 @@ def test_size_that_a_bound_holds_back_is_no_claim_and_one_without_declared_bound
     """A declared bound holds and is named; twenty typical sizes are no bound of the vehicle."""
     train, test = dataset(11, -15.0), dataset(12, -15.0)
     narrow = CUBIC.parameters[0].name
-    declared = Force(
-        "cubic_damping",
-        CUBIC.terms,
-        (Parameter(narrow, 0.0, "s/rad^2", -5.0, 5.0, scale=1.0),),
-    )
-    by_size = Force(
-        "cubic_damping",
-        CUBIC.terms,
-        (Parameter(narrow, 0.0, "s/rad^2", -2.0, 2.0, scale=0.1),),
+    declared, by_size = (
+        replace(CUBIC, parameters=(Parameter(narrow, 0.0, "s/rad^2", -most, most, scale=scale),))
+        for most, scale in ((5.0, 1.0), (2.0, 0.1))
     )
     held = improve(SHIP, train, test, candidates=[declared], terms=False)
     assert not held.steps
@@ -224,16 +215,9 @@ def test_what_noise_hid_in_the_nominal_fit_joins_the_group_beside_the_improved_o
         outputs = states + [8.0, 0.0] + 0.01 * rng.standard_normal(states.shape)
         return Record(name, times, pushes[:, None], outputs, moored.channels)
 
-    moored = Model(
-        "moored",
-        states=(State("x", "m"), State("v", "m/s")),
-        inputs=(Input("push", "m/s^2"),),
-        outputs=(Output("x", "m", noise_std=0.01), Output("v", "m/s", noise_std=0.01)),
-        kinematics={"x": "v", "v": "b*push - d*v - k*x"},
-        parameters=(Parameter("b", 0.8, "1"), Parameter("d", 1.2, "1/s"),
-                    Parameter("k", 0.4, "1/s^2")),
-        step=0.1,
-    )  # fmt: skip
+    law = {"x": "v", "v": "b*push - d*v - k*x"}
+    values = {"b [1]": 0.8, "d [1/s]": 1.2, "k [1/s^2]": 0.4}
+    moored = small("moored", "x [m], v [m/s] <- push [m/s^2]", law, values, 0.01, step=0.1)
     force = Force("force", {"v": "E_force"}, (Parameter("E_force", 0.0, "m/s^2", scale=0.1),))
     found = improve(
         moored, Dataset((run("a", 1), run("b", 2))), Dataset((run("c", 3),)),

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from marks import slow
+from motion import small
 
-from oed_sysid import Dataset, Fit, Input, Model, MultipleShooting, Output, Parameter, Record, State
+from oed_sysid import Dataset, Fit, Model, MultipleShooting, Record
 from oed_sysid.errors import DataError, ModelError
 from problems.kvlcc2.closed_loop import CourseControl, ZigzagControl, closed_loop
 
@@ -15,19 +16,11 @@ STEP = 0.5
 
 def ship(growth: float = 0.02) -> Model:
     """A ship unstable on course."""
-    return Model(
-        "unstable",
-        (State("psi", "rad"), State("r", "rad/s", scale=0.1)),
-        (Input("delta", "rad"),),
-        (Output("psi", "rad", noise_std=0.003), Output("r", "rad/s", noise_std=0.001)),
-        {"psi": "r", "r": "s*r + k*delta - c*r*abs(r)"},
-        parameters=(
-            Parameter("s", growth, "1/s"),
-            Parameter("k", 0.05, "1/s^2"),
-            Parameter("c", 3.0, "1/rad"),
-        ),
-        step=STEP,
-    )
+    law = {"psi": "r", "r": "s*r + k*delta - c*r*abs(r)"}
+    values = {"s [1/s]": growth, "k [1/s^2]": 0.05, "c [1/rad]": 3.0}
+    noise, scales = {"psi": 0.003, "r": 0.001}, {"r": 0.1}
+    signals = "psi [rad], r [rad/s] <- delta [rad]"
+    return small("unstable", signals, law, values, noise, scales=scales, step=STEP)
 
 
 def steered(law, duration: float, rng: np.random.Generator, quiet: float = 1.0) -> Record:

@@ -7,9 +7,10 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from altered import trials
+from motion import small
 
+from oed_sysid import Dataset, Experiment, Fit, Force, Limits, Model, MultipleShooting, NoiseModel
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.data.dataset import Dataset
 from oed_sysid.design import (
     Design,
     Discriminate,
@@ -31,16 +32,9 @@ from oed_sysid.design.knowledge import ExpectedInformation
 from oed_sysid.design.objective import Objective
 from oed_sysid.design.trial import Task
 from oed_sysid.errors import DesignError
-from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.manoeuvres import Doublet, ThreeTwoOneOne
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.information import information_of, noise_of
-from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.physics import Force
-from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.text.csv_table import read_table
 
@@ -51,15 +45,10 @@ LIMITS = Limits(
 
 def ship(**changes: object) -> Model:
     """Yaw with linear and quadratic damping and a rudder of its own lag."""
-    model = Model(
-        "small ship",
-        (State("psi", "rad"), State("r", "rad/s", scale=0.1)),
-        (Input("rudder", "rad"),),
-        (Output("psi", "rad", noise_std=5e-3), Output("r", "rad/s", noise_std=2e-3)),
-        {"psi": "r", "r": "b*rudder - d*r - c*r*abs(r)"},
-        parameters=(Parameter("b", 0.12), Parameter("d", 0.4), Parameter("c", 1.5)),
-        step=0.25,
-    )
+    law = {"psi": "r", "r": "b*rudder - d*r - c*r*abs(r)"}
+    values, noise = {"b": 0.12, "d": 0.4, "c": 1.5}, {"psi": 5e-3, "r": 2e-3}
+    signals = "psi [rad], r [rad/s] <- rudder [rad]"
+    model = small("small ship", signals, law, values, noise, scales={"r": 0.1}, step=0.25)
     return replace(model, **changes)  # type: ignore[arg-type]
 
 
@@ -218,15 +207,10 @@ def test_design_keeps_limits_and_beats_zigzags(designed: Design) -> None:
 
 def towed(**settings: object) -> Design:
     """Small design for a towed body: the speed of tow has no zero in its range."""
-    model = Model(
-        "towed body",
-        (State("theta", "rad"), State("q", "rad/s", scale=0.1)),
-        (Input("V", "m/s"), Input("flap", "rad")),
-        (Output("theta", "rad", noise_std=5e-3),),
-        {"theta": "q", "q": "b*V*V*flap - d*V*q - k*theta"},
-        parameters=(Parameter("b", 0.1), Parameter("d", 0.3), Parameter("k", 0.5)),
-        step=0.25,
-    )
+    law = {"theta": "q", "q": "b*V*V*flap - d*V*q - k*theta"}
+    values, noise = {"b": 0.1, "d": 0.3, "k": 0.5}, {"theta": 5e-3}
+    signals = "theta [rad], q [rad/s] <- V [m/s], flap [rad]"
+    model = small("towed body", signals, law, values, noise, scales={"q": 0.1}, step=0.25)
     given: dict[str, object] = {"duration": 30.0, "n_starts": 1, "family": Levels()}
     given |= {"n_candidates": 8, "n_steps": 2, "rng": np.random.default_rng(0)}
     return quick(model, **(given | settings))

@@ -9,11 +9,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from motion import small
 from scipy.integrate import solve_ivp
 from scipy.stats import binom
 from test_design import LIMITS, grid, quick, sea, ship
 
-from oed_sysid.data.dataset import Dataset
+from oed_sysid import Dataset, Experiment, Force, Limits, MultipleShooting, Parameter, load_problem
 from oed_sysid.design import (
     Caution,
     Design,
@@ -40,14 +41,10 @@ from oed_sysid.design.vehicles import (
     in_own_waves,
 )
 from oed_sysid.errors import DesignError, FileError
-from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.manoeuvres import Doublet, Piecewise
-from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.information import sea_noise
 from oed_sysid.likelihood.information import Information
-from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import Force, Parameter
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.results import figure_card
@@ -290,10 +287,7 @@ def test_nonsense_is_named() -> None:
 def test_priors_may_be_too_narrow() -> None:
     """Of declared priors every other vehicle is drawn three times as far; a fit is believed."""
     priors = Parameter("K", 0.2, "1/s", prior_std=0.01)
-    ship = Model(
-        "ship", (State("r", "rad/s"),), (Input("d", "rad"),), (Output("r", "rad/s"),),
-        kinematics={"r": "K*d - 0.1*r"}, parameters=(priors,),
-    )  # fmt: skip
+    ship = small("ship", "r [rad/s] <- d [rad]", {"r": "K*d - 0.1*r"}, [priors])
     rng = np.random.default_rng(0)
     drawn = np.array([one.values["K"] for one in draw_models(ship, None, 4000, None, rng)])
     assert np.std(drawn[::2]) == pytest.approx(0.01, rel=0.05)
@@ -305,11 +299,8 @@ def test_priors_may_be_too_narrow() -> None:
 
 def test_what_nobody_knows_may_be_far_off() -> None:
     """Beside a prior, coefficients without one are drawn up to a share of their value off."""
-    model = Model(
-        "ship", (State("r", "rad/s"),), (Input("d", "rad"),), (Output("r", "rad/s"),),
-        kinematics={"r": "K*d - c*r"},
-        parameters=(Parameter("K", 0.2, "1/s", prior_std=0.01), Parameter("c", 0.1, "1/s")),
-    )  # fmt: skip
+    values = [Parameter("K", 0.2, "1/s", prior_std=0.01), Parameter("c", 0.1, "1/s")]
+    model = small("ship", "r [rad/s] <- d [rad]", {"r": "K*d - c*r"}, values)
     drawn = draw_models(model, None, 2000, None, np.random.default_rng(0))
     shares = np.array([one.values["c"] for one in drawn]) / 0.1 - 1.0
     assert np.abs(shares).max() == pytest.approx(UNCERTAINTY, rel=0.01)
@@ -371,15 +362,9 @@ def _design() -> Design:
 
 def turning() -> Model:
     """A vehicle that turns on a circle at a speed that it keeps."""
-    return Model(
-        "circle",
-        (State("u", "m/s"), State("psi", "rad"), State("r", "rad/s")),
-        (Input("rudder", "rad"),),
-        (Output("psi", "rad", noise_std=0.01),),
-        {"u": "0*rudder", "psi": "r", "r": "(K*rudder - r)/0.01"},
-        parameters=(Parameter("K", 0.1, "1/s"),),
-        step=0.005,
-    )
+    law = {"u": "0*rudder", "psi": "r", "r": "(K*rudder - r)/0.01"}
+    signals = "u [m/s], psi [rad], r [rad/s] <- rudder [rad]"
+    return small("circle", signals, law, {"K [1/s]": 0.1}, {"psi": 0.01}, step=0.005)
 
 
 def test_the_track_of_a_circle_is_a_circle_and_its_room_the_diameter() -> None:
@@ -539,13 +524,9 @@ def test_a_bag_plays_the_commands_at_their_times(design: Design, tmp_path) -> No
 
 def test_a_card_is_made_of_any_run_and_names_the_side_of_each_order() -> None:
     """Orders are whole degrees with the side that the yaw rate follows; what is held has none."""
-    model = Model(
-        "boat",
-        (State("psi", "rad"), State("r", "rad/s")),
-        (Input("rudder", "rad"), Input("thrust", "N")),
-        (Output("psi", "rad", noise_std=0.01),),
-        {"psi": "r", "r": "(-0.1*rudder - r)/2 + 0*thrust"},
-    )
+    law = {"psi": "r", "r": "(-0.1*rudder - r)/2 + 0*thrust"}
+    signals = "psi [rad], r [rad/s] <- rudder [rad], thrust [N]"
+    model = small("boat", signals, law, noise={"psi": 0.01})
     shape = Piecewise("rudder", [0.0, 5.0, 20.0], [0.0, 0.1, -0.2])
     run = Experiment("steps", shape, duration=40.0, sample_time=0.5, constants={"thrust": 9.0})
     page = TrialCard.of(model, run).document()

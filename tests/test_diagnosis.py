@@ -15,6 +15,7 @@ import pytest
 import turning_ship
 from golden_files import restored
 from marks import slow
+from motion import small
 from scipy import stats
 from turning_ship import CANDIDATES, GYRO_BIAS, NOISE, SHIP, dataset
 from turning_ship import CUBIC as DAMPING
@@ -23,11 +24,10 @@ from turning_ship import improved as improved_ship
 from benchmarks.missing_physics.cases import true_derivatives
 from benchmarks.missing_physics.judge import datasets, nominal
 from benchmarks.missing_physics.simulator import TEST, TRAIN, Case, simulate
-from oed_sysid.data.dataset import Dataset, Record, read_csv
+from oed_sysid import Dataset, Fit, Model, Record, improve, load_problem, read_csv, simulate_inputs
 from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.evidence import improvement
 from oed_sysid.evidence.compare import Comparison, compare, forecasts
-from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.locate import locate
 from oed_sysid.evidence.propose import Signal as Cause
@@ -36,15 +36,11 @@ from oed_sysid.evidence.rank import Ranking, rank
 from oed_sysid.evidence.residual_forces import let_in
 from oed_sysid.evidence.score import Score, scores
 from oed_sysid.evidence.study import Study
-from oed_sysid.experiments.problem import load_problem
-from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.filtered import Filtered
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics import Force, Parameter, sensor_bias
 from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.model import Model
 from oed_sysid.text.units import same_dimension
 
 NOMINAL = SHIP.with_values({"K": 0.5, "T": 4.0})
@@ -373,14 +369,9 @@ def test_nothing_is_proposed_where_nothing_is_missing() -> None:
 
 def test_models_without_axes_have_a_dictionary() -> None:
     """An ordinary differential equation is searched in the rates that hold parameters."""
-    model = Model(
-        "roll",
-        states=(State("phi", "rad"), State("p", "rad/s")),
-        inputs=(Input("moment", "N m"),),
-        outputs=(Output("phi", "rad", noise_std=0.001),),
-        kinematics={"phi": "p", "p": "-b*p - k*phi + moment"},
-        parameters=(Parameter("b", 0.1, "1/s"), Parameter("k", 1.0, "1/s^2")),
-    )
+    law = {"phi": "p", "p": "-b*p - k*phi + moment"}
+    values = {"b [1/s]": 0.1, "k [1/s^2]": 1.0}
+    model = small("roll", "phi [rad], p [rad/s] <- moment [N m]", law, values, {"phi": 0.001})
     signals = (
         Cause("phi", "rad", "motion", False),
         Cause("p", "rad/s", "motion", False),
@@ -458,14 +449,8 @@ def test_a_candidate_that_was_not_refitted_joins_the_group_if_its_signature_is_t
 @pytest.mark.parametrize("brim", [1.0, 5.0], ids=["near", "above every level"])
 def test_several_shapes_are_estimated_from_their_own_values(brim: float) -> None:
     """Every shape is looked for over its bounds, even where the given value shows nothing."""
-    tank = Model(
-        "tanks",
-        states=(State("upper", "m"), State("lower", "m")),
-        inputs=(),
-        outputs=(Output("upper", "m"), Output("lower", "m")),
-        kinematics={"upper": "-drain*upper", "lower": "drain*upper - drain*lower"},
-        parameters=(Parameter("drain", 0.4, "1/s"),),
-    )
+    law = {"upper": "-drain*upper", "lower": "drain*upper - drain*lower"}
+    tank = small("tanks", "upper [m], lower [m]", law, {"drain [1/s]": 0.4})
     overflow = Force(
         "overflow",
         {

@@ -5,13 +5,13 @@ from __future__ import annotations
 import copy
 import json
 import math
-import os
 import re
 from pathlib import Path
 
 import jinja2
 import numpy as np
 import pytest
+from marks import MEASURED
 from matplotlib.image import imread
 
 from benchmarks.documents import measured_data, page
@@ -25,7 +25,6 @@ TEXTS = sorted(
     for folder in (".", "docs", "docs/walks", "oed_sysid", "problems/*", "examples")
     for path in ROOT.glob(f"{folder}/*.md")
 )
-MEASURED = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 
 
 @pytest.fixture

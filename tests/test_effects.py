@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import vehicles
 from marks import slow
+from motion import small
 from scipy.integrate import solve_ivp
 
 from oed_sysid import (
@@ -181,16 +182,8 @@ COMMANDS = np.repeat([0.0, 0.2, -0.15, -0.12, 0.0, 0.01, 0.3, 0.28], 4)
 
 def integrator(*chain: Effect) -> Model:
     """Rate equal to the actual deflection, so that the state sums its means."""
-    return Model(
-        "integrator",
-        states=(State("x", "rad s"),),
-        inputs=(Input("command", "rad"),),
-        outputs=(Output("x", "rad s"),),
-        kinematics={"x": "d"},
-        actuators={"d": "command"},
-        effects=chain,
-        step=STEP,
-    )
+    signals, drive = "x [rad s] <- command [rad]", {"d": "command"}
+    return small("integrator", signals, {"x": "d"}, actuators=drive, effects=chain, step=STEP)
 
 
 def means(*chain: Effect, commands: np.ndarray = COMMANDS) -> np.ndarray:
@@ -274,15 +267,8 @@ def test_deadband_offset_stall_gain_saturation() -> None:
 def test_a_gain_that_fades_counts_from_the_start_of_the_record() -> None:
     """Thrust of a battery that sags: the same run an hour later is the same run."""
     sag = effects.actuator_fading("sag", ("a", "b"), value=-0.01)
-    model = Model(
-        "two",
-        (State("x", "m"),),
-        (Input("a", "m/s"), Input("b", "m/s")),
-        (Output("x", "m", 1.0),),
-        {"x": "a + 2*b"},
-        effects=(sag,),
-        step=0.1,
-    )
+    signals = "x [m] <- a [m/s], b [m/s]"
+    model = small("two", signals, {"x": "a + 2*b"}, effects=(sag,), step=0.1)
     times, inputs = np.linspace(0.0, 20.0, 41), np.ones((41, 2))
     for later in (0.0, 3600.0):
         run = simulate_inputs(model, later + times, inputs=inputs, initial={"x": 0.0})
@@ -315,15 +301,7 @@ def test_thrust_decay_falls_linearly() -> None:
 
 def ramp(*chain: Effect, n: int = 60) -> tuple[np.ndarray, np.ndarray]:
     """Times and measured value of a state that grows at 2 per second from 1."""
-    model = Model(
-        "ramp",
-        states=(State("x", "m"),),
-        inputs=(),
-        outputs=(Output("x", "m"),),
-        kinematics={"x": "2"},
-        effects=chain,
-        step=STEP,
-    )
+    model = small("ramp", "x [m]", {"x": "2"}, effects=chain, step=STEP)
     times = STEP * np.arange(n)
     run = motion.ran(model, times, np.zeros((n, 0)), np.ones(1), compiled=False)
     return times, run.outputs[:, 0]
@@ -362,15 +340,9 @@ def test_one_parameter_for_several_channels() -> None:
     """A shared lag, delay, limit, dead band or play moves each channel as its own effect would."""
 
     def pair(*effects):
-        return Model(
-            "pair",
-            (State("x", "m"), State("y", "m")),
-            (Input("a", "rad"), Input("b", "rad")),
-            (Output("x", "m"), Output("y", "m")),
-            {"x": "0", "y": "0"},
-            effects=(*effects, Force("push", {"x": "a", "y": "b"})),
-            step=0.1,
-        )
+        push = Force("push", {"x": "a", "y": "b"})
+        signals, still = "x [m], y [m] <- a [rad], b [rad]", {"x": "0", "y": "0"}
+        return small("pair", signals, still, effects=(*effects, push), step=0.1)
 
     times = 0.1 * np.arange(80)
     inputs = np.column_stack([np.sign(np.sin(2 * times)), 0.4 * np.sign(np.cos(times))])
@@ -519,16 +491,8 @@ def test_a_start_beside_the_command_fades() -> None:
 
 def hidden(effect: Effect, force: Callable[[float], float]) -> np.ndarray:
     """Velocity of a unit mass that only a hidden state pushes, driven by a force on a command."""
-    model = Model(
-        "mass",
-        (State("v", "m/s"),),
-        (Input("d", "N"),),
-        (Output("v", "m/s"),),
-        axes={"X": "v"},
-        inertia={("X", "v"): "1"},
-        effects=(effect,),
-        step=0.01,
-    )
+    pushed = {"axes": {"X": "v"}, "inertia": {("X", "v"): "1"}, "effects": (effect,)}
+    model = small("mass", "v [m/s] <- d [N]", {}, step=0.01, **pushed)
     times = 0.01 * np.arange(300)
     inputs = np.array([[force(t)] for t in times])
     built = kernel(model)

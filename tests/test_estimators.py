@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from altered import overwritten
 from marks import slow
+from motion import small
 
 from oed_sysid import Dataset, Experiment, Fit, Multisine, Record, baselines, simulate
 from oed_sysid.baselines import MultipleShooting, Multistart
@@ -130,14 +131,8 @@ def test_contract_finds_broken_promises(fault: str, message: str) -> None:
 
 
 # A ramp of unknown slope: linear in states and parameter together.
-RAMP = Model(
-    "ramp",
-    (State("x", "m"),),
-    (),
-    (Output("x", "m", noise_std=0.3),),
-    {"x": "slope"},
-    parameters=(Parameter("slope", 0.0, "m/s", scale=1.0),),
-)
+SLOPE = Parameter("slope", 0.0, "m/s", scale=1.0)
+RAMP = small("ramp", "x [m]", {"x": "slope"}, [SLOPE], 0.3)
 
 
 def ramp_data(n: int = 60) -> Dataset:
@@ -220,14 +215,7 @@ def test_points_far_out_make_the_unscented_filter_too_sure() -> None:
     assert far < near - 0.1
 
 
-DECAY = Model(
-    "decay",
-    states=(State("x", "m"),),
-    inputs=(),
-    outputs=(Output("x", "m"),),
-    kinematics={"x": "-k*x"},
-    parameters=(Parameter("k", 0.5, "1/s", fixed=True),),
-)
+DECAY = small("decay", "x [m]", {"x": "-k*x"}, [Parameter("k", 0.5, "1/s", fixed=True)])
 
 
 @pytest.mark.parametrize("start", ["near", "wide"])

@@ -10,12 +10,13 @@ import pytest
 from altered import overwritten
 from golden_files import restored
 from marks import slow
+from motion import small
 from scipy.stats import norm
 from test_design import ship, straight, weak_and_strong
 from test_information import ar1
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
-from oed_sysid import Dataset, Fit, Input, Model, Output, Record, Solver, State, simulate_inputs
+from oed_sysid import Dataset, Fit, Model, Record, Solver, simulate_inputs
 from oed_sysid.baselines import MultipleShooting, Multistart, profile
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.between_records import CHANCE, Sources, sources_of
@@ -204,17 +205,9 @@ ESTIMATOR = MultipleShooting(noise="given", disturbances="none", coloured="never
 
 def relaxation(*, log: bool, value: float = 0.3, prior_std: float | None = None) -> Model:
     """A first-order lag; its rate may be known to a factor only."""
-    return Model(
-        "relaxation",
-        (State("x", "m"),),
-        (Input("drive", "m/s"),),
-        (Output("x", "m", noise_std=NOISE_PARAMETERS),),
-        {"x": "K*drive - k*x"},
-        parameters=(
-            Parameter("k", value, "1/s", lower=1e-9, prior_std=prior_std, log=log),
-            Parameter("K", 1.0),
-        ),
-    )
+    rate = Parameter("k", value, "1/s", lower=1e-9, prior_std=prior_std, log=log)
+    signals, law = "x [m] <- drive [m/s]", {"x": "K*drive - k*x"}
+    return small("relaxation", signals, law, [rate, Parameter("K", 1.0)], NOISE_PARAMETERS)
 
 
 def record(

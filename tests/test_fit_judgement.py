@@ -13,6 +13,7 @@ import pytest
 import steered_ship
 import turning_ship
 from altered import part
+from motion import small
 from scipy.stats import false_discovery_control, norm
 from steered_ship import nothing
 from turning_ship import SHIP
@@ -23,20 +24,16 @@ from benchmarks.random_forces.simulator import believed
 from benchmarks.random_forces.simulator import simulate as simulate_worlds
 from benchmarks.random_forces.trial import dataset, nominal_model
 from benchmarks.truth import gauss_markov
+from oed_sysid import Fit, Model, MultipleShooting, Parameter, improve, load_problem, simulate
 from oed_sysid.baselines import JointKalmanFilter
 from oed_sysid.cli import SUSPECT, main
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
-from oed_sysid.evidence.improve import improve
-from oed_sysid.experiments.problem import load_problem
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood import multiple_shooting
 from oed_sysid.likelihood.departures import estimate_departures
 from oed_sysid.likelihood.estimate import Departure
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import nowhere
 from oed_sysid.likelihood.judgement import CHECKS, FATAL, Concern, judge, unexplained
 from oed_sysid.likelihood.laws import departures_beside
-from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import (
     FALSE_SHARE,
     held_masks,
@@ -45,9 +42,6 @@ from oed_sysid.likelihood.noise_levels import (
     spike_masks,
     spike_sizes,
 )
-from oed_sysid.physics import Parameter
-from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import told
 
 WHITE = MultipleShooting(noise=NOISE, disturbances="none")
@@ -65,15 +59,8 @@ def changed(data: Dataset, change) -> Dataset:  # type: ignore[no-untyped-def]
 
 def lag(rate: float = 9.0, step: float = 0.1) -> Model:
     """A first-order lag, ``x' = -a (x - u)``."""
-    return Model(
-        "lag",
-        (State("x", "m"),),
-        (Input("u", "m"),),
-        (Output("x", "m", noise_std=0.01),),
-        {"x": "-a*(x - u)"},
-        parameters=(Parameter("a", rate, "1/s"),),
-        step=step,
-    )
+    law, values = {"x": "-a*(x - u)"}, {"a [1/s]": rate}
+    return small("lag", "x [m] <- u [m]", law, values, 0.01, step=step)
 
 
 def lag_data(model: Model, seed: int = 0, *, n: int = 200, rate: float = 9.0) -> Dataset:
@@ -271,45 +258,34 @@ def test_drop_outs_and_bursts_do_not_pass_for_process_noise() -> None:
         assert abs(fit.values[name] - true.values[name]) < error
 
 
-@pytest.mark.parametrize("delay", [0.25, -0.2])
-def test_delays_are_measured(delay: float) -> None:
-    """A heading half a sample late or early is named, its delay within three standard errors."""
-
-    def shift(record: Record) -> np.ndarray:
-        late = record.outputs.copy()
-        late[:, 0] -= delay * late[:, 1]
-        return late
-
-    for seed in range(4):
-        fit = WHITE.fit(yaw_model(), changed(yaw_data(seed), shift))
-        (found,) = (c for c in fit.concerns if c.kind == "delay")
-        assert found.signal == "psi"
-        one = next(d for d in estimate_departures(fit) if (d.signal, d.kind) == ("psi", "late"))
-        assert abs(one.size - delay) < 3.5 * one.std + 0.1 * abs(delay)
-        # Residuals of steps that are too coarse look the same, and are none of the log.
-        coarse = replace(fit, status=replace(fit.status, code="integration"))
-        assert "delay" not in kinds(coarse)
-
-
-@pytest.mark.parametrize(("kind", "size"), [("off", 1.0), ("off", -2.0), ("scale", 0.1)])
-def test_errors_of_a_sensor_are_measured(kind: str, size: float) -> None:
-    """A yaw rate off by its noise, or of another scale, is named with its size, alone."""
-    size = size * float(NOISE[1]) if kind == "off" else size
+@pytest.mark.parametrize(
+    ("signal", "kind", "named", "size"),
+    [
+        *(("psi", "late", "delay", delay) for delay in (0.25, -0.2)),
+        *(("r", "off", "offset", share * float(NOISE[1])) for share in (1.0, -2.0)),
+        ("r", "scale", "scale", 0.1),
+    ],
+)
+def test_errors_of_a_sensor_are_measured(signal: str, kind: str, named: str, size: float) -> None:
+    """A late heading, a rate that is off or of another scale: named with its size, and alone."""
 
     def spoil(record: Record) -> np.ndarray:
-        wrong = record.outputs.copy()
-        wrong[:, 1] += size if kind == "off" else size * wrong[:, 1]
+        wrong, rate = record.outputs.copy(), record.outputs[:, 1]
+        error = {"late": -size * rate, "off": size, "scale": size * rate}[kind]
+        wrong[:, record.channels.output_names.index(signal)] += error
         return wrong
 
-    named = {"off": "offset", "scale": "scale"}[kind]
     for seed in range(4):
         fit = WHITE.fit(yaw_model(), changed(yaw_data(seed), spoil))
         (found,) = (c for c in fit.concerns if c.kind in ("delay", "offset", "scale"))
         # A rate that is too large and an angle that is too small are the same where K is free.
         assert found.kind == named
-        assert found.signal == "r" or "r (scale)" in found.text
-        one = next(d for d in estimate_departures(fit) if (d.signal, d.kind) == ("r", kind))
+        assert found.signal == signal or f"{signal} ({kind})" in found.text
+        one = next(d for d in estimate_departures(fit) if (d.signal, d.kind) == (signal, kind))
         assert abs(one.size - size) < 3.5 * one.std + 0.1 * abs(size)
+        # Residuals of steps that are too coarse look the same, and are none of the log.
+        coarse = replace(fit, status=replace(fit.status, code="integration"))
+        assert "delay" not in kinds(coarse)
 
 
 def test_a_late_input_is_measured() -> None:
@@ -685,20 +661,13 @@ def test_a_failed_fit_with_process_noise_gives_way(monkeypatch: pytest.MonkeyPat
 
 def test_an_unstable_vehicle_gets_a_status() -> None:
     """Moved filters that overflow along 200 s of an unstable vehicle end in a status, advised."""
-    model = Model(
-        "unstable in pitch",
-        states=(State("theta", "rad", scale=0.1), State("q", "rad/s", scale=0.1)),
-        inputs=(Input("fin", "rad"),),
-        outputs=(Output("theta", "rad", noise_std=0.01), Output("q", "rad/s", noise_std=0.01)),
-        kinematics={"theta": "q", "q": "a*theta - c*q + b*ds"},
+    law = {"theta": "q", "q": "a*theta - c*q + b*ds"}
+    values = {"a [1/s^2]": 0.8, "c [1/s]": 0.3, "b [1/s^2]": 1.2}
+    signals, scales = "theta [rad], q [rad/s] <- fin [rad]", {"theta": 0.1, "q": 0.1}
+    model = small(
+        "unstable in pitch", signals, law, values, 0.01, scales=scales, step=0.1,
         actuators={"ds": "fin"},
-        parameters=(
-            Parameter("a", 0.8, "1/s^2"),
-            Parameter("c", 0.3, "1/s"),
-            Parameter("b", 1.2, "1/s^2"),
-        ),
-        step=0.1,
-    )
+    )  # fmt: skip
     rng, times = np.random.default_rng(0), 0.1 * np.arange(2000)
     turns = 2 * np.pi * times
     probe = 0.2 * np.sign(np.sin(turns / 7.0)) + 0.1 * np.sign(np.sin(turns / 3.1))
@@ -819,21 +788,14 @@ def test_suspect_log_stands_above_the_fit(
     assert capsys.readouterr().out.startswith("Log suspect: ")
 
 
-CARRIED = Model(
+SIZES = {"X": (12.0, "kg/m", 10.0), "K": (0.03, "1/m^2", 0.1), "N": (0.05, "1/m", 0.1)}
+CARRIED = small(
     "unstable ship",
-    (State("u", "m/s"), State("r", "rad/s", scale=0.1), State("psi", "rad")),
-    (Input("delta", "rad"), Input("thrust", "N")),
-    (
-        Output("u", "m/s", noise_std=0.02),
-        Output("r", "rad/s", noise_std=0.003),
-        Output("psi", "rad", noise_std=0.01),
-    ),
+    "u [m/s], r [rad/s], psi [rad] <- delta [rad], thrust [N]",
     {"u": "(thrust - X*u*abs(u))/500", "r": "K*u*u*delta + N*u*r", "psi": "r"},
-    parameters=(
-        Parameter("X", 12.0, "kg/m", scale=10.0),
-        Parameter("K", 0.03, "1/m^2", scale=0.1),
-        Parameter("N", 0.05, "1/m", scale=0.1),
-    ),
+    [Parameter(name, value, unit, scale=scale) for name, (value, unit, scale) in SIZES.items()],
+    {"u": 0.02, "r": 0.003, "psi": 0.01},
+    scales={"r": 0.1},
     step=0.2,
 )
 

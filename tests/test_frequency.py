@@ -7,27 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import told
+from motion import small
 from scipy.signal import lfilter
 from simple_models import NOMOTO, K, T
 
 import oed_sysid
-from oed_sysid import Dataset, Experiment, Input, Model, Output, Record, State, compare, write_csv
+from oed_sysid import PRBS, Dataset, Experiment, Record, compare, simulate, write_csv
 from oed_sysid.cli.script import part_of
 from oed_sysid.cli.study import Study
 from oed_sysid.cli.tasks import TASKS
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.frequency import FAILS, HOLDS, compare_frequency, frequency_response
-from oed_sysid.experiments.manoeuvres import PRBS
-from oed_sysid.experiments.simulation import simulate
 
 STEP, POLES, GAINS = 0.5, np.array([0.9, 0.6]), np.array([2.0, -0.7])
-TWO_INPUTS = Model(
-    "two lags",
-    states=(State("x", "m"),),
-    inputs=(Input("a", "m"), Input("b", "m")),
-    outputs=(Output("x", "m", noise_std=0.1),),
-    kinematics={"x": "a + b - x"},
-)
+TWO_INPUTS = small("two lags", "x [m] <- a [m], b [m]", {"x": "a + b - x"}, noise=0.1)
 
 
 def two_lags(rng: np.random.Generator, n: int = 4000, alike: float = 0.5) -> Record:

@@ -16,22 +16,15 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from oed_sysid import Dataset, Experiment, Fit, Model, Piecewise, improve, rank_parameters, simulate
 from oed_sysid.cli import DONE
 from oed_sysid.compiled.graph import build
-from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
-from oed_sysid.evidence.improve import improve
-from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.experiments.manoeuvres import Piecewise
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.export import export
-from oed_sysid.information import rank_parameters
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.start_guess import measured_columns
 from oed_sysid.physics import Force, Parameter
 from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.model import Model
 
 STATES = (State("psi", "rad"), State("r", "rad/s"))
 INPUTS = (Input("delta", "rad"),)

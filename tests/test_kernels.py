@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from motion import small
 from scipy.integrate import solve_ivp
 from vehicles import remus, roll_oscillator
 
@@ -259,13 +260,7 @@ def test_linear_input_through_the_whole_chain() -> None:
 @pytest.mark.parametrize("compiled", [True, False])
 def test_failure_is_reported_where_it_happens(compiled: bool) -> None:
     """A trajectory that overflows is finite before the stated sample and NaN after."""
-    model = Model(
-        "explosion",
-        states=(State("x", "m"),),
-        inputs=(),
-        outputs=(Output("x", "m"),),
-        kinematics={"x": "x**2"},
-    )
+    model = small("explosion", "x [m]", {"x": "x**2"})
     times = 0.1 * np.arange(60)
     result = Kernel(model, compiled=compiled).run(
         times, np.zeros((60, 0)), np.zeros(0), np.ones(1), sensitivities=True

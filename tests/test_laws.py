@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from motion import small
 from steered_ship import LEVEL, NOISE, PERIOD, TIME, WIDTH, YAW, Share, nothing, sailed
 
 from benchmarks.truth import gauss_markov
@@ -195,15 +196,8 @@ def failing(into: float) -> float:
     return float(not 0.26 < into < 0.37)
 
 
-FERRY = Model(
-    "ferry",
-    (State("u", "m/s"),),
-    (Input("n", "rad/s"),),
-    (Output("u", "m/s", 0.01),),
-    {"u": "(k*n - u)/T"},
-    parameters=(Parameter("k", 0.9, "m"), Parameter("T", 7.0, "s", lower=0.5)),
-    step=0.5,
-)
+VALUES = [Parameter("k", 0.9, "m"), Parameter("T", 7.0, "s", lower=0.5)]
+FERRY = small("ferry", "u [m/s] <- n [rad/s]", {"u": "(k*n - u)/T"}, VALUES, step=0.5)
 
 
 def test_what_fades_follows_the_time_in_the_run() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from motion import small
 from vehicles import remus
 
 from oed_sysid import Doublet, Experiment, Input, Output, State, design, list_problems, new_problem
@@ -161,17 +162,12 @@ def test_model_is_frozen_and_comparable() -> None:
     assert decay() != replace(decay(), step=0.2)
 
 
-SHIP = Model(
+SHIP = small(
     "yaw",
-    (State("psi", "rad"), State("r", "rad/s")),
-    (Input("delta", "rad"),),
-    (Output("psi", "rad", noise_std=0.01), Output("r", "rad/s", noise_std=0.002)),
+    "psi [rad], r [rad/s] <- delta [rad]",
     {"psi": "r", "r": "(K*delta - r)/T - D*r*abs(r)"},
-    parameters=(
-        Parameter("K", 0.2, "1/s"),
-        Parameter("T", 15.0, "s"),
-        Parameter("D", 0.5, "1/rad"),
-    ),
+    {"K [1/s]": 0.2, "T [s]": 15.0, "D [1/rad]": 0.5},
+    {"psi": 0.01, "r": 0.002},
 )
 TURN = Experiment("turn", Doublet("delta", 0.2, pulse_time=5.0), duration=20.0, sample_time=0.5)
 # Criterion, whether it is invariant under a change of units, whether information never harms.

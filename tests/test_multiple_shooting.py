@@ -10,26 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from altered import overwritten
+from motion import small
 from scipy.optimize import least_squares
 from test_shooting import diving_data
 from vehicles import remus
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model, yaw_record
 
-from oed_sysid import (
-    Dataset,
-    Fit,
-    Input,
-    Model,
-    MultipleShooting,
-    Output,
-    Parameter,
-    Record,
-    Solver,
-    State,
-)
+from oed_sysid import Dataset, Fit, Model, MultipleShooting, Parameter, Record, Solver, replayed
 from oed_sysid.errors import ModelError, OedSysidError
 from oed_sysid.likelihood.multistart import profile
-from oed_sysid.likelihood.replay import replayed
 from oed_sysid.physics import hull_derivatives
 
 START = {"K": 0.08, "T": 12.0, "alpha": 6.0}
@@ -370,14 +359,8 @@ def test_a_fit_with_derivatives_beyond_numbers_still_answers(
     steep: float, disturbances: str, tmp_path: Path
 ) -> None:
     """What a run is by its parameters may overflow although the run does not: all say so."""
-    model = Model(
-        "steep",
-        (State("w", "m/s"),),
-        (Input("T", "N"),),
-        (Output("w", "m/s", noise_std=1e-3),),
-        {"w": f"T - w + {steep:g}*(b - 1)"},
-        parameters=(Parameter("b", 1.0),),
-    )
+    law = {"w": f"T - w + {steep:g}*(b - 1)"}
+    model = small("steep", "w [m/s] <- T [N]", law, {"b": 1.0}, 1e-3)
     rng, times = np.random.default_rng(5), np.arange(0.0, 20.0, 0.1)
     inputs, noise = np.sign(np.sin(times))[:, None], rng.normal(size=(2, len(times), 1))
     data = Dataset(

@@ -9,10 +9,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from marks import slow
+from motion import small
 from scipy.optimize import brentq
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
-from oed_sysid import Dataset, Fit, Model, Output, Parameter, Record, State, simulate_inputs
+from oed_sysid import Dataset, Fit, Parameter, Record, simulate_inputs
 from oed_sysid.baselines import MultipleShooting, OutputError
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.likelihood.multistart import Multistart, _goal, profile
@@ -21,15 +22,9 @@ from oed_sysid.runtime.parallel import CellProgress
 
 TRUTH = 1.3
 # The misfit of a long oscillation has a valley for every number of periods.
-OSCILLATOR = Model(
-    "oscillator",
-    (State("x", "m"), State("v", "m/s")),
-    (),
-    (Output("x", "m", noise_std=0.02),),
-    kinematics={"x": "v", "v": "-omega**2*x"},
-    parameters=(Parameter("omega", TRUTH, "rad/s", lower=0.5, upper=3.0),),
-    step=0.1,
-)
+OMEGA = Parameter("omega", TRUTH, "rad/s", lower=0.5, upper=3.0)
+LAW = {"x": "v", "v": "-omega**2*x"}
+OSCILLATOR = small("oscillator", "x [m], v [m/s]", LAW, [OMEGA], {"x": 0.02}, step=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -151,14 +146,7 @@ CHI2 = 3.841458820694124
 
 def test_linear_parameter_has_the_standard_interval() -> None:
     """Where the misfit is a parabola, profile and standard error give the same interval."""
-    line = Model(
-        "line",
-        (State("x", "m"),),
-        (),
-        (Output("x", "m"),),
-        {"x": "slope"},
-        parameters=(Parameter("slope", 1.0, "m/s"),),
-    )
+    line = small("line", "x [m]", {"x": "slope"}, {"slope [m/s]": 1.0})
     times = np.linspace(0, 10, 50)
     noise = 0.3 * np.random.default_rng(0).standard_normal(50)
     data = Dataset((Record("line", times, [], 0.5 * times + noise, line.channels),))
@@ -173,15 +161,8 @@ def test_linear_parameter_has_the_standard_interval() -> None:
     assert np.allclose(found.rises, expected, atol=1e-4)
 
 
-DECAY = Model(
-    "decay",
-    (State("x", "m"),),
-    (),
-    (Output("x", "m"),),
-    {"x": "-a*x"},
-    parameters=(Parameter("a", 1.0, "1/s", lower=0.0, upper=50.0),),
-    step=0.02,
-)
+RATE = Parameter("a", 1.0, "1/s", lower=0.0, upper=50.0)
+DECAY = small("decay", "x [m]", {"x": "-a*x"}, [RATE], step=0.02)
 
 
 def decay_fit(rate: float, seed: int, noise: float = 0.12) -> tuple[Dataset, object]:

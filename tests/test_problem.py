@@ -10,39 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bad_input import folder_of
+from motion import small
 from vehicles import remus, ship
 
 import oed_sysid
+from oed_sysid import Dataset, Experiment, Force, Parameter, Record, improve, simulate
 from oed_sysid.cli import DONE, main
-from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.design import DOptimal, Search, Trial, design_experiment
 from oed_sysid.errors import ProblemError
-from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.usual import settled
 from oed_sysid.experiments import catalogue
-from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.problem import Problem, list_problems, load_problem, new_problem
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.experiments.starter import TEMPLATES
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import (
-    Force,
-    Parameter,
-    diving_plane_effects,
-    sensor_bias,
-    surface_ship_effects,
-)
-from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.model import Model
+from oed_sysid.physics import diving_plane_effects, sensor_bias, surface_ship_effects
 
-MODEL = Model(
-    "tug",
-    states=(State("r", "rad/s"),),
-    inputs=(Input("rudder", "rad"),),
-    outputs=(Output("r", "rad/s", noise_std=0.001),),
-    kinematics={"r": "K*rudder - r"},
-    parameters=(Parameter("K", 0.1, "1/s"),),
-)
+MODEL = small("tug", "r [rad/s] <- rudder [rad]", {"r": "K*rudder - r"}, {"K [1/s]": 0.1}, 0.001)
 DRAG = Force("drag", {"r": "-E*r*abs(r)"}, (Parameter("E", 0.0, "1/rad"),))
 SOURCE = """\
 from oed_sysid import Input, Model, Output, Parameter, Problem, State

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import MEASURED
 
 from oed_sysid import Dataset, MultipleShooting, load_problem, simulate, simulate_inputs
 from oed_sysid.errors import DataError
 from problems.esso_osaka.records import HEADER, VALIDATION, read, windows
 
 PROBLEM = load_problem("esso_osaka")
-MEASURED = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 CALM = {"wind_north": 0.0, "wind_east": 0.0}
 
 

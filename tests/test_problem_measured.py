@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from functools import cache
 
 import numpy as np
 import pytest
+from marks import MEASURED
 from scipy.io import loadmat
 
 from benchmarks.scoreboard import drive
@@ -19,7 +19,7 @@ from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.text.expressions import to_numpy
 
 ESTIMATOR = MultipleShooting(disturbances="none")
-pytestmark = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
+pytestmark = MEASURED
 
 
 @cache

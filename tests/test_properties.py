@@ -17,16 +17,12 @@ from hypothesis import assume, given, settings
 from simple_models import NOMOTO
 
 from benchmarks import fuzz
-from oed_sysid.data.dataset import Record, read_csv, write_csv
-from oed_sysid.errors import OedSysidError
+from oed_sysid import Force, Model, OedSysidError, Parameter, Record, read_csv, simulate, write_csv
 from oed_sysid.experiments import manoeuvres as m
 from oed_sysid.experiments.experiment import Experiment, Limits
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.archive import decode, encode
 from oed_sysid.likelihood.fit import ARCHIVED
-from oed_sysid.physics import Force, Parameter
 from oed_sysid.physics.channels import Channels, Input, Output, State
-from oed_sysid.physics.model import Model
 from oed_sysid.text import expressions, notation, units
 from oed_sysid.text.dimensions import dimension_of
 from oed_sysid.text.units import OFFSETS, UNITS

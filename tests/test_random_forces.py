@@ -8,25 +8,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from marks import slow
+from motion import small
 from scipy.optimize import minimize
 from turning_ship import CUBIC, GAIN, GYRO_BIAS, NOISE, SAMPLE, SHIP, TIME, dataset, record
 
-from oed_sysid import UnknownForce, UnknownInput
-from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid import Dataset, Fit, Parameter, Record, UnknownForce, UnknownInput, load_problem
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.evidence.study import Study
-from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.disturbances import chosen_places
 from oed_sysid.likelihood.filtered import Filtered
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
 from oed_sysid.likelihood.prediction import unknown_series
 from oed_sysid.likelihood.score_test import ScoreTest, Setting, Start, score_test
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.windows import Windows
-from oed_sysid.physics import Parameter
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.constants import TOLD_APART
@@ -309,17 +306,12 @@ def test_inputs_whose_log_shows_no_noise_leave_the_numbers_finite() -> None:
 
 TRUE = {"K": 0.3, "T": 4.0, "a": 1.5}
 NOISE_INPUTS = np.array([0.002, 0.003])
-BOAT = Model(
+BOAT = small(
     "boat",
-    (State("r", "rad/s", scale=0.1), State("psi", "rad")),
-    (Input("rudder", "rad"), Input("trim", "rad")),
-    (Output("r", "rad/s"), Output("psi", "rad")),
+    "r [rad/s], psi [rad] <- rudder [rad], trim [rad]",
     {"r": "(K*(rudder + trim) - r - a*r*abs(r))/T", "psi": "r"},
-    parameters=(
-        Parameter("K", 0.2, "1/s"),
-        Parameter("T", 3.0, "s", lower=0.3),
-        Parameter("a", 0.5, "s"),
-    ),
+    [Parameter("K", 0.2, "1/s"), Parameter("T", 3.0, "s", lower=0.3), Parameter("a", 0.5, "s")],
+    scales={"r": 0.1},
     step=0.1,
 )
 SERIES = {"duration": 80.0, "spacing": 8.0, "scale": 0.1}

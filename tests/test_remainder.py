@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 import steered_ship
 from marks import slow
+from motion import small
 from simple_models import nomoto
 from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
 
 from benchmarks.truth import gauss_markov
-from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, improve
+from oed_sysid import Dataset, Model, Output, Parameter, Record, improve
 from oed_sysid.evidence import remainder
 from oed_sysid.evidence.compare import forecasts
 from oed_sysid.evidence.preparation import coarser, prepared
@@ -24,18 +25,9 @@ from oed_sysid.likelihood.information import lagged_products
 from oed_sysid.likelihood.whole_runs import OutputRuns, WholeRuns
 from oed_sysid.physics import Effect, Force, actuator_lag, backlash
 
-CART = Model(
-    "cart",
-    (State("u", "m/s", scale=0.3),),
-    (Input("push", "N"),),
-    (Output("u", "m/s"),),
-    {"u": "(push - d*u)/m"},
-    parameters=(
-        Parameter("m", 2.0, "kg", lower=0.1),
-        Parameter("d", 1.0, "kg/s", lower=0.0),
-    ),
-    step=0.1,
-)
+SIZES = [Parameter("m", 2.0, "kg", lower=0.1), Parameter("d", 1.0, "kg/s", lower=0.0)]
+LAW = {"u": "(push - d*u)/m"}
+CART = small("cart", "u [m/s] <- push [N]", LAW, SIZES, scales={"u": 0.3}, step=0.1)
 DRY = Force("dry", {"u": "-F*tanh(u/0.02)/m"}, parameters=(Parameter("F", 0.0, "N"),))
 FINE = 0.001  # m/s
 
@@ -188,15 +180,11 @@ def test_no_option_certifies_a_run_beyond_its_spread(
     assert left.kind in ("structure missing", "not known")
 
 
-DRIFTER = Model(
-    "drifter",
-    (State("u", "m/s", scale=1.0), State("x", "m", scale=10.0)),
-    (Input("push", "N"),),
-    (Output("x", "m", noise_std=0.3),),
-    {"u": "(push - d*u)/m", "x": "u"},
-    parameters=(Parameter("m", 60.0, "kg", fixed=True), Parameter("d", 2.0, "kg/s", lower=0.0)),
-    step=0.1,
-)
+HEAVY = [Parameter("m", 60.0, "kg", fixed=True), Parameter("d", 2.0, "kg/s", lower=0.0)]
+DRIFTER = small(
+    "drifter", "u [m/s], x [m] <- push [N]", LAW | {"x": "u"}, HEAVY, {"x": 0.3},
+    scales={"x": 10.0}, step=0.1,
+)  # fmt: skip
 
 
 def drifts(seed: int, level: float, n: int, seconds: float = 40.0) -> Dataset:

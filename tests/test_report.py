@@ -19,17 +19,15 @@ from starter import improved, starter
 from test_design import ship
 from test_sensitivity import oscillator, roll_test
 
-from oed_sysid import Dataset, Experiment, Limits, Record, TurningCircle, ZigZag
+from oed_sysid import Dataset, Experiment, Fit, Limits, Record, TurningCircle, ZigZag, load_problem
 from oed_sysid import results as report
 from oed_sysid.baselines import MultipleShooting, profile
 from oed_sysid.design import Levels, Search, Trial, design_experiment
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.compare import Comparison, compare
 from oed_sysid.evidence.improvement import Improvement
-from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information import rank_parameters
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter

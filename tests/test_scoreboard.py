@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import MEASURED
 
 from benchmarks.documents import turns
 from benchmarks.scoreboard import __main__ as board
@@ -22,8 +22,6 @@ from benchmarks.scoreboard.row import Row, columns
 from oed_sysid import Record, load_problem, simulate_inputs
 from oed_sysid.data.third_party import data_folder
 from oed_sysid.errors import DataError
-
-MEASURED = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 
 
 @pytest.fixture

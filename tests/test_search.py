@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from motion import small
 from scipy.linalg import expm
 
 from oed_sysid import (
     Dataset,
     Force,
-    Input,
-    Model,
     MultipleShooting,
-    Output,
     Parameter,
     Record,
-    State,
 )
 from oed_sysid.evidence.claim import Claim, own_error
 from oed_sysid.evidence.improve import _ended
@@ -30,14 +27,14 @@ from oed_sysid.physics import actuator_lag
 from oed_sysid.runtime.journal import Journal
 
 TURNING = {"a_v": 0.12, "a_r": 3.0, "a_d": 0.25, "c_v": 0.004, "c_r": 0.16, "c_d": 0.022}
-SHIP = Model(
+SHIP = small(
     "turning ship",
-    (State("v", "m/s", scale=0.5), State("r", "rad/s", scale=0.03)),
-    (Input("rudder", "rad"),),
-    (Output("v", "m/s", noise_std=0.02), Output("r", "rad/s", noise_std=0.0006)),
-    kinematics={"v": "-a_v*v - a_r*r + a_d*delta", "r": "-c_v*v - c_r*r - c_d*delta"},
+    "v [m/s], r [rad/s] <- rudder [rad]",
+    {"v": "-a_v*v - a_r*r + a_d*delta", "r": "-c_v*v - c_r*r - c_d*delta"},
+    {f"{name} [1]": 0.9 * value for name, value in TURNING.items()},
+    {"v": 0.02, "r": 0.0006},
+    scales={"v": 0.5, "r": 0.03},
     actuators={"delta": "rudder"},
-    parameters=tuple(Parameter(name, 0.9 * value, "1") for name, value in TURNING.items()),
     step=0.5,
 )
 
@@ -104,16 +101,13 @@ def test_forces_are_not_left_out_for_nothing(
     assert found.fit.noise.level("force v")[0] == base.noise.level("force v")[0]
 
 
-ROLLING = Model(
+ROLLING = small(
     "rolling ship",
-    (State("p", "rad/s", scale=0.01), State("phi", "rad", scale=0.05)),
-    (Input("rudder", "rad"),),
-    (Output("phi", "rad", noise_std=0.003),),
-    kinematics={"p": "-K_p*p - K_phi*phi - K_d*rudder", "phi": "p"},
-    parameters=tuple(
-        Parameter(name, value, "1")
-        for name, value in (("K_p", 0.05), ("K_phi", 0.15), ("K_d", 0.02))
-    ),
+    "p [rad/s], phi [rad] <- rudder [rad]",
+    {"p": "-K_p*p - K_phi*phi - K_d*rudder", "phi": "p"},
+    {"K_p [1]": 0.05, "K_phi [1]": 0.15, "K_d [1]": 0.02},
+    {"phi": 0.003},
+    scales={"p": 0.01, "phi": 0.05},
     step=0.5,
 )
 

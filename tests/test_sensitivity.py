@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from motion import small
 from simple_models import nomoto
 
 from benchmarks.plans import best_by_trial, bias_of, described, errors_by_differences
-from oed_sysid import Dataset, Experiment, Input, Model, Output, Parameter, State
+from oed_sysid import Dataset, Experiment, Model, MultipleShooting, Output, Parameter, simulate
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.manoeuvres import Constant, Doublet, ZigZag
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information import (
     collinearity_index,
     confirm_bound,
@@ -25,22 +25,14 @@ from oed_sysid.information import (
     structural_identifiability,
 )
 from oed_sysid.likelihood.information import Information
-from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 
 GAIN, TIME, RUDDER, NOISE = 0.1, 10.0, 0.2, 1e-3
 
 
 def first_order(**changes: object) -> Model:
     """Nomoto's first-order model with its yaw rate measured."""
-    model = Model(
-        "Nomoto",
-        (State("r", "rad/s"),),
-        (Input("rudder", "rad"),),
-        (Output("r", "rad/s", noise_std=NOISE),),
-        {"r": "(K*rudder - r)/T"},
-        parameters=(Parameter("K", GAIN, "1/s"), Parameter("T", TIME, "s")),
-        step=0.05,
-    )
+    law, values = {"r": "(K*rudder - r)/T"}, {"K [1/s]": GAIN, "T [s]": TIME}
+    model = small("Nomoto", "r [rad/s] <- rudder [rad]", law, values, NOISE, step=0.05)
     return replace(model, **changes)  # type: ignore[arg-type]
 
 
@@ -57,20 +49,9 @@ def closed_form(times: np.ndarray) -> np.ndarray:
 
 def oscillator() -> Model:
     """Second-order roll model with a weak cubic term and an unseen product."""
-    return Model(
-        "roll",
-        (State("phi", "rad"), State("p", "rad/s")),
-        (Input("moment", ""),),
-        (Output("phi", "rad", noise_std=2e-3), Output("p", "rad/s", noise_std=2e-3)),
-        {"phi": "p", "p": "b*moment - d*p - k*phi - c*phi**3"},
-        parameters=(
-            Parameter("b", 1.0),
-            Parameter("d", 0.3),
-            Parameter("k", 1.5),
-            Parameter("c", 0.02),
-        ),
-        step=0.05,
-    )
+    law = {"phi": "p", "p": "b*moment - d*p - k*phi - c*phi**3"}
+    values = {"b": 1.0, "d": 0.3, "k": 1.5, "c": 0.02}
+    return small("roll", "phi [rad], p [rad/s] <- moment", law, values, 2e-3, step=0.05)
 
 
 def roll_test(name: str = "doublet", amplitude: float = 0.3) -> Experiment:

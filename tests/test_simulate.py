@@ -8,20 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from motion import small
 from scipy.integrate import solve_ivp
 from simple_models import AUV, NOMOTO, PENDULUM, K, T
 
 from benchmarks import truth
-from oed_sysid import Experiment, Input, Limits, Model, Output, State
+from oed_sysid import Experiment, Input, Limits, Model, Output, State, simulate, simulate_inputs
 from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.experiments import manoeuvres as m
-from oed_sysid.experiments.simulation import (
-    equilibrium,
-    linearise,
-    simulate,
-    simulate_batch,
-    simulate_inputs,
-)
+from oed_sysid.experiments.simulation import equilibrium, linearise, simulate_batch
 
 DIVE = Experiment(
     "dive",
@@ -242,10 +237,7 @@ def test_batch_equals_loop(n_workers: int) -> None:
 
 def runaway(initial: float = 1.0, rate: float = 3.0) -> tuple[Model, Experiment]:
     """A model that grows without bound, but stays a number in 40 s."""
-    model = Model(
-        "runaway", (State("w", "m/s"),), (Input("fin", "rad"),),
-        (Output("w", "m/s", noise_std=0.1),), {"w": f"{rate}*w + fin"},
-    )  # fmt: skip
+    model = small("runaway", "w [m/s] <- fin [rad]", {"w": f"{rate}*w + fin"}, noise=0.1)
     return model, Experiment(
         "hold", m.Constant("fin", 0.1), duration=40.0, sample_time=0.1, initial={"w": initial}
     )
@@ -392,12 +384,11 @@ def test_settled_sensor_and_actuator_have_unit_gain() -> None:
         np.testing.assert_allclose(getattr(linear, name), getattr(plain, name), atol=1e-9)
 
 
-SHIP = Model(
+SHIP = small(
     "ship",
-    states=(State("psi", "rad"), State("r", "rad/s"), State("u", "m/s")),
-    inputs=(Input("rudder", "rad"), Input("thrust", "N")),
-    outputs=(Output("psi", "rad", noise_std=0.01),),
-    kinematics={"psi": "r", "r": "(0.1*rudder - r)/10", "u": "(thrust - u*abs(u))/100"},
+    "psi [rad], r [rad/s], u [m/s] <- rudder [rad], thrust [N]",
+    {"psi": "r", "r": "(0.1*rudder - r)/10", "u": "(thrust - u*abs(u))/100"},
+    noise={"psi": 0.01},
 )
 
 

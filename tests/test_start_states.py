@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from golden_files import restored
 from marks import slow
+from motion import small
 from simple_models import nomoto
 from vehicles import DIVING_START, SHIP_START, remus, ship
 
-from oed_sysid import Dataset, Fit, Input, Model, MultipleShooting, Output, Parameter, Record, State
+from oed_sysid import Dataset, Fit, Model, MultipleShooting, Record, improve, simulate_inputs
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.evidence.improve import improve
-from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.departures import estimate_starts
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_states, slope
 from oed_sysid.physics import (
@@ -35,14 +34,9 @@ TRUE_START = np.array([1.0, -0.5])
 
 def oscillator() -> Model:
     """A damped oscillator, of which the position is measured."""
-    return Model(
-        "oscillator",
-        (State("x", "m"), State("v", "m/s")),
-        (Input("force", "N"),),
-        (Output("x", "m", noise_std=NOISE),),
-        {"x": "v", "v": "force - k*x - c*v"},
-        parameters=(Parameter("k", 1.0, "1/s^2"), Parameter("c", 0.4, "1/s")),
-    )
+    law = {"x": "v", "v": "force - k*x - c*v"}
+    values = {"k [1/s^2]": 1.0, "c [1/s]": 0.4}
+    return small("oscillator", "x [m], v [m/s] <- force [N]", law, values, {"x": NOISE})
 
 
 def record(rng: np.random.Generator, times: np.ndarray = TIMES, name: str = "run") -> Record:

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from marks import slow
-from motion import ran
+from motion import ran, small
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -174,15 +174,9 @@ def test_the_structure_knows_the_integrator_and_advice_names_it() -> None:
 
 def relay(force: str) -> Model:
     """A mass on a force that switches with its position, in steps that are coarse for a jump."""
-    return Model(
-        "relay",
-        (State("x", "m"), State("u", "m/s")),
-        (Input("push", "N"),),
-        (Output("x", "m", noise_std=1e-3), Output("u", "m/s", noise_std=1e-3)),
-        {"x": "u", "u": f"push - stiffness*{force} - 0.1*u"},
-        parameters=(Parameter("stiffness", 1.0, "N", lower=0.0),),
-        step=0.1,
-    )
+    law = {"x": "u", "u": f"push - stiffness*{force} - 0.1*u"}
+    spring = Parameter("stiffness", 1.0, "N", lower=0.0)
+    return small("relay", "x [m], u [m/s] <- push [N]", law, [spring], 1e-3, step=0.1)
 
 
 def shaken(model: Model, n: int = 200) -> Dataset:
@@ -230,18 +224,10 @@ FRICTION = {"gain": 1.0, "damping": 0.3, "friction": 0.2}
 
 def rubbing(step: float = 0.2) -> Model:
     """A slide with dry friction, whose slope at rest is far steeper than the step resolves."""
-    return Model(
-        "slide",
-        (State("u", "m/s"),),
-        (Input("push", "m/s^2"),),
-        (Output("u", "m/s", noise_std=0.005),),
-        {"u": "gain*push - damping*u - friction*tanh(u/0.01)"},
-        parameters=tuple(
-            Parameter(name, value, unit, lower=0.0)
-            for (name, value), unit in zip(FRICTION.items(), ("1", "1/s", "m/s^2"), strict=True)
-        ),
-        step=step,
-    )
+    units = zip(FRICTION.items(), ("1", "1/s", "m/s^2"), strict=True)
+    values = [Parameter(name, value, unit, lower=0.0) for (name, value), unit in units]
+    law = {"u": "gain*push - damping*u - friction*tanh(u/0.01)"}
+    return small("slide", "u [m/s] <- push [m/s^2]", law, values, 0.005, step=step)
 
 
 @cache

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from golden_files import restored
 from marks import slow
+from motion import small
 from scipy.optimize import least_squares
 
 from benchmarks.random_forces.scenarios import SCENARIOS
@@ -21,7 +22,6 @@ from oed_sysid.export import export
 from oed_sysid.likelihood.prediction import Spread, misleads, predict
 from oed_sysid.likelihood.replay import _parts
 from oed_sysid.likelihood.whole_runs import WholeRun
-from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.parameters import Parameter
 
 STEP = 0.5
@@ -29,17 +29,17 @@ TIMES = np.arange(0.0, 100.0, STEP)
 SIGMA = np.array([0.002, 0.0005])
 LEVEL, TIME = 4e-4, 4.0
 
-SHIP = Model(
+SHIP = small(
     "ship with a helm zero",
-    (State("psi", "rad"), State("r", "rad/s", scale=0.02)),
-    (Input("delta", "rad"),),
-    (Output("psi", "rad", noise_std=SIGMA[0]), Output("r", "rad/s", noise_std=SIGMA[1])),
+    "psi [rad], r [rad/s] <- delta [rad]",
     {"psi": "r", "r": "(K*(delta - zero) - r)/T"},
-    parameters=(
+    [
         Parameter("K", 0.1, "1/s"),
         Parameter("T", 10.0, "s", lower=1.0),
         Parameter("zero", 0.0, "rad", per_record=True, prior_mean=0.0, prior_std=0.05),
-    ),
+    ],
+    dict(zip(("psi", "r"), SIGMA, strict=True)),
+    scales={"r": 0.02},
     step=STEP,
 )
 RUDDER = 0.2 * np.sign(np.sin(TIMES / 8.0))
@@ -246,15 +246,8 @@ TIMES_BANDS = np.arange(150) * STEP_BANDS
 
 def falling(growth: float) -> Model:
     """A state that grows, or decays, until its cube stops it."""
-    return Model(
-        name="pitchfork",
-        states=(State("x", "rad"),),
-        inputs=(),
-        outputs=(Output("x", "rad", noise_std=0.01),),
-        kinematics={"x": "a*x - x**3"},
-        parameters=(Parameter("a", growth, "1/s"),),
-        step=0.02,
-    )
+    law, values = {"x": "a*x - x**3"}, {"a [1/s]": growth}
+    return small("pitchfork", "x [rad]", law, values, 0.01, step=0.02)
 
 
 def predicted(
