@@ -18,12 +18,13 @@ from benchmarks.harness import ONE_THREAD, command, known
 
 FOLDER = Path(__file__).resolve().parent
 QUICK = ("kernel", "information", "startup", "score", "growth", "swarm", "fit_speed")
-PARTS = ("__init__", "__main__", "harness", "rates", "spikes", "truth")
 
 
 def benchmarks() -> dict[str, str]:
     """First line of the docstring of every benchmark and of every part of ``speed``, by name."""
-    paths = {p.stem: p for p in sorted(FOLDER.glob("*.py")) if p.stem not in PARTS}
+    files = [p for p in sorted(FOLDER.glob("*.py")) if p.stem != "__main__"]
+    # What is not called by itself is part of these or of pages.
+    paths = {p.stem: p for p in files if "\nif __name__ ==" in p.read_text("utf-8")}
     paths |= {p.parent.name: p for p in sorted(FOLDER.glob("*/__main__.py"))}
     trees = {name: ast.parse(path.read_text("utf-8")) for name, path in paths.items()}
     parts = [

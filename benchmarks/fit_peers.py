@@ -1,9 +1,9 @@
 """The same fit by us and by other people's tools: how long, and does it arrive.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.fit_peers [names] [--python PATH ...]
+    OMP_NUM_THREADS=1 python -m benchmarks.documents performance --write --only peers
 
 The task and how each peer is used stand in :mod:`benchmarks.peers.fits`. Every peer runs in a
-process of its own, with the first interpreter of ``--python`` that has it (``pip install do-mpc
+process of its own, with the first interpreter of ``PEERS_PYTHON`` that has it (``pip install do-mpc
 numba optimistix jax pypesto[amici,petab,fides] antimony swig pyomo pandas``). Times are processor
 times of the solution alone. *Off* is the largest distance from our estimates in our standard
 errors: the optimum is the same, so more than about one means that it was not found, and the time of
@@ -28,11 +28,8 @@ from benchmarks.harness import (
     ONE_THREAD,
     ROOT,
     Row,
-    command,
     dive,
     ignorant,
-    known,
-    machine,
     scaled,
 )
 from benchmarks.peers.fits import STEP
@@ -136,40 +133,6 @@ def compared(names: Sequence[str], share: float, pythons: Sequence[str]) -> Iter
             yield {**row, **found, "off": off, "ours": seconds, "ratio": ratio}
 
 
-def main(names: Sequence[str] = (), *, python: Sequence[str] = ()) -> None:
-    """Print the table.
-
-    Parameters
-    ----------
-    names : sequence of str
-        peers; all without a name
-    python : sequence of str
-        interpreters, of which the first that has a peer runs it; by default those of the
-        environment variable PEERS_PYTHON
-    """
-    chosen = [known(name, PEERS, "peer") for name in names] or [*PEERS]
-    print(machine())
-    for share in STARTS:
-        for row in compared(chosen, share, python or pythons()):
-            print(_line(row), flush=True)
-
-
 def pythons() -> list[str]:
     """Interpreters that ``PEERS_PYTHON`` names, else this one."""
     return os.environ.get("PEERS_PYTHON", sys.executable).split(os.pathsep)
-
-
-def _line(row: Row) -> str:
-    if not row["name"]:
-        return f"start x {row['start']}: multiple shooting of this package {row['seconds']:.4f} s"
-    if "left_out" in row:
-        return f"  {row['title']:44} {row['left_out']}"
-    arrived = "" if row["off"] < 1.0 else "  does not arrive"
-    return (
-        f"  {row['title']:44} {row['seconds']:8.3f} s, built in {row['build']:5.1f} s, off "
-        f"{row['off']:7.2f}, over ours {row['ratio']:6.1f}{arrived}"
-    )
-
-
-if __name__ == "__main__":
-    command(main)

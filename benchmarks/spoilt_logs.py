@@ -1,7 +1,6 @@
 """Exam of the check of logs: faults put into simulated logs, and logs without any.
 
-    python -m benchmarks.spoilt_logs [faults clean inputs] [--seeds N] [--first SEED] [--kind WORD]
-    python -m benchmarks.spoilt_logs copies as_they_are
+    python -m benchmarks.documents check --write [--only faults clean inputs copies]
 
 Two vehicles that share nothing with the package: a diving plane and a ship, zigzags and steps,
 with random forces. Three records of 900 samples at three speeds; noise is declared to nobody.
@@ -15,7 +14,6 @@ certified, that is said to be adequate, or a disturbance, without a word about t
 from __future__ import annotations
 
 import os
-import sys
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Row, command, known, table_of
+from benchmarks.harness import Row
 from benchmarks.truth import gauss_markov, runge_kutta
 from oed_sysid import (
     Dataset,
@@ -442,12 +440,12 @@ def judged(craft: Craft, seed: int, spoil: Spoil, size: float) -> tuple[bool, bo
     return first, named or other, found.suspect, said[:90]
 
 
-def faults(seeds: range, only: str = "", crafts: Sequence[Craft] = ()) -> list[Row]:
+def faults(seeds: range) -> list[Row]:
     """Every kind and size: how often it comes first, is named, and anything is suspect."""
     rows: list[Row] = []
-    for craft in crafts or CRAFT:
+    for craft in CRAFT:
         for spoil in faults_of(craft):
-            for place, size in enumerate(spoil.sizes) if only in spoil.kind else ():
+            for place, size in enumerate(spoil.sizes):
                 found = [judged(craft, seed, spoil, size) for seed in seeds]
                 counts = {
                     key: sum(one[at] for one in found)
@@ -477,12 +475,12 @@ def replayed(
     return replace(run, inputs=logged.inputs)
 
 
-def inputs(seeds: range, only: str = "", crafts: Sequence[Craft] = ()) -> list[Row]:
+def inputs(seeds: range) -> list[Row]:
     """Inputs of a shipped problem whose true values are drawn from the priors of its model."""
     problem, rows = load_problem("remus_diving_plane"), list[Row]()
     for kind in (*INPUTS, *ACTED):
         said = []
-        for seed in seeds if only in kind else ():
+        for seed in seeds:
             rng = np.random.default_rng((seed, 5))
             drawn = {p.name: float(rng.normal(p.prior_mean, p.prior_std))
                      for p in problem.model.free_parameters if p.prior_std}  # fmt: skip
@@ -500,9 +498,8 @@ def inputs(seeds: range, only: str = "", crafts: Sequence[Craft] = ()) -> list[R
             mine = {*problem.model.input_names}
             every = [one for one in found.findings if one.suspect or mine & {*one.signals}]
             said.append("; ".join(one.name + " (note)" * (not one.suspect) for one in every) or "-")
-        if said:
-            counts = {words: said.count(words) for words in said}
-            rows.append({"kind": kind, "said": counts, "of": len(said)})
+        counts = {words: said.count(words) for words in said}
+        rows.append({"kind": kind, "said": counts, "of": len(said)})
     return rows
 
 
@@ -534,10 +531,10 @@ ACTED: dict[str, Act] = {
 }
 
 
-def clean(seeds: range, only: str = "", crafts: Sequence[Craft] = ()) -> list[Row]:
+def clean(seeds: range) -> list[Row]:
     """False alarms on logs without a fault."""
     rows = list[Row]()
-    for craft, noise in product(crafts or CRAFT, [one for one in _COLOURS if only in one]):
+    for craft, noise in product(CRAFT, _COLOURS):
         logs = (written(craft, seed, noise=noise) for seed in seeds)
         alarms = sum(check(log, craft.model, inputs=False).suspect for log in logs)
         rows.append({"vehicle": craft.name, "noise": noise, "suspect": alarms, "of": len(seeds)})
@@ -567,7 +564,7 @@ def named_as(found: LogCheck, name: str) -> bool:
     return len(found.serious) == 1 and found.named(one.kind, one.signals[0]) is not None
 
 
-def copies(seeds: range = range(1), only: str = "", crafts: Sequence[Craft] = ()) -> list[Row]:
+def copies() -> list[Row]:
     """Spoilt copies of a hidden-effect case through the check and the search."""
     cases = hidden_effect_cases()
     if not cases:
@@ -576,8 +573,6 @@ def copies(seeds: range = range(1), only: str = "", crafts: Sequence[Craft] = ()
     files = sorted((HIDDEN_EFFECTS / "case_010").glob("test_*.csv"))
     test, rows = read_csv(files, problem.channels), list[Row]()
     for name, one in COPIES.items():
-        if only not in name:
-            continue
         bad = spoil(train, name)
         found = check(bad, problem)
         result = improve(problem.model, bad, spoil(test, name), candidates=problem.effects)
@@ -596,56 +591,9 @@ def copies(seeds: range = range(1), only: str = "", crafts: Sequence[Craft] = ()
     return rows
 
 
-def as_they_are(seeds: range = range(1), only: str = "", crafts: Sequence[Craft] = ()) -> list[Row]:
+def as_they_are() -> list[Row]:
     """What the check says of the hidden-effect cases, in two of which a sensor errs."""
     return [
         {"case": name, "check": check(records, own).verdict}
         for name, (own, records) in hidden_effect_cases().items()
     ]
-
-
-PARTS: dict[str, Callable[..., list[Row]]] = {
-    part.__name__: part for part in (faults, clean, inputs, copies, as_they_are)
-}
-
-
-COUNTED = ("first", "named", "suspect", "of", "certified")
-
-
-def main(
-    parts: Sequence[str] = ("faults", "clean", "inputs"),
-    *,
-    seeds: int = 2,
-    first: int = 1000,
-    kind: str = "",
-    vehicle: str = "",
-) -> int:
-    """Run the parts that are asked for; return how many spoilt copies were certified.
-
-    Parameters
-    ----------
-    parts : sequence of str
-        faults, clean, inputs, copies, as_they_are
-    seeds : int
-        logs of each kind
-    first : int
-        first seed
-    kind : str
-        only kinds of fault or noise, or copies, with this word
-    vehicle : str
-        only the one with this word in its name
-    """
-    crafts = [craft for craft in CRAFT if vehicle in craft.name]
-    wanted = [PARTS[known(part, PARTS, "part")] for part in parts]
-    certified = 0
-    for part in wanted:
-        rows = part(range(first, first + seeds), kind, crafts)
-        counts = {key: sum(row[key] for row in rows if key in row) for key in COUNTED}
-        told = ", ".join(f"{key} {n}" for key, n in counts.items() if any(key in r for r in rows))
-        print(*table_of(rows), "", told, sep="\n", flush=True)
-        certified += counts["certified"]
-    return certified
-
-
-if __name__ == "__main__":
-    sys.exit(command(main))
