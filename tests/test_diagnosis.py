@@ -655,18 +655,6 @@ def test_score_is_the_likelihood_gain_to_first_order(cubic: float) -> None:
     assert refit.score.estimate["n3"] == pytest.approx(refit.fit.values["n3"], abs=error)
 
 
-def test_hidden_damping_is_found_and_explains_the_records() -> None:
-    """Cubic damping is added, the error falls to the noise, and its value covers the truth."""
-    found = improved_ship()
-    assert [step.added for step in found.steps] == ["cubic_damping"]
-    assert found.base_error["test"] > 1.1
-    assert found.final_error["test"] == pytest.approx(1.0, abs=0.06)
-    row = next(row for row in found.parameters if row["name"] == "n3")
-    assert abs(row["value"] + 15.0) < 4 * row["std_error"]
-    assert found.model.effect_names == ("cubic_damping",)
-    assert SHIP.effect_names == ()
-
-
 def test_forces_act_only_where_they_are_let_in() -> None:
     """Levels of forces that are ruled out stay zero; places named are estimated."""
     levels = {}

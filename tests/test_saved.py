@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 import warnings
-from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -85,121 +84,95 @@ def test_hash_depends_on_values_and_units_only() -> None:
 # -- damage ----------------------------------------------------------------------------
 
 
-def changed(*path: Any, to: Any) -> Callable[[dict], None]:
-    """Change one entry of the content of a file; ``to=...`` removes it."""
-
-    def act(content: dict) -> None:
-        *way, last = path
-        for key in way:
-            content = content[key]
-        if to is ...:
-            del content[last]
-        else:
-            content[last] = to
-
-    return act
+def change(content: Any, path: str, to: Any) -> None:
+    """Change one entry of the content of a file, fields by their names; ``...`` removes it."""
+    *way, last = (int(one) if one.isdigit() else one for one in path.split("."))
+    for key in way:
+        content = _holding(content, key)[key]
+    if to is ...:
+        del _holding(content, last)[last]
+    else:
+        _holding(content, last)[last] = to
 
 
-F = "fields"
+def _holding(content: Any, key: object) -> Any:
+    """What has an entry of this name: an object, or its fields."""
+    return content["fields"] if isinstance(content, dict) and key not in content else content
+
+
 ARRAY = {"array": [1.0, 2.0], "shape": [2], "dtype": "float64"}
-# What is done to the content of a good file, and a word of the message.
-CONTENT: dict[str, tuple[Callable[[dict], None], str]] = {
-    "no class": (changed("class", to=...), "of no known kind"),
-    "a cost without end": (changed(F, "cost", to=10**400), "in place of a number"),
-    "another class": (changed("class", to="Popen"), "does not know"),
-    "class that is no name": (changed("class", to=["Fit"]), "does not know"),
-    "no fields": (changed(F, to=...), "without fields"),
-    "fields as a list": (changed(F, to=[1]), "without fields"),
-    "field removed": (changed(F, "sigma", to=...), "without its sigma"),
-    "field of a future version": (changed(F, "charm", to=1.0), "does not know"),
-    "array as text": (changed(F, "estimates", to="abc"), "'abc'"),
-    "field without a default removed": (changed(F, "covariance", to=...), "make it again"),
-    "array as null": (changed(F, "covariance", to=None), "covariance"),
-    "array cut": (changed(F, "estimates", "array", to=[1.0]), "1 numbers for an array"),
-    "array of text": (changed(F, "estimates", "array", to=["x", 1, 2]), "something else in it"),
-    "array of objects": (changed(F, "estimates", "dtype", to="object"), "array of 'object'"),
-    "array of huge text": (changed(F, "estimates", "dtype", to="U999999999"), "expected one of"),
-    "no array where one is": (
-        changed(F, "sigma_estimated", to={"tuple": []}),
-        "sigma_estimated of shape (0,)",
-    ),
+# What of the content of a good file is another, and a word of the message.
+CONTENT: dict[str, tuple[str, Any, str]] = {
+    "no class": ("class", ..., "of no known kind"),
+    "a cost without end": ("cost", 10**400, "in place of a number"),
+    "another class": ("class", "Popen", "does not know"),
+    "class that is no name": ("class", ["Fit"], "does not know"),
+    "no fields": ("fields", ..., "without fields"),
+    "fields as a list": ("fields", [1], "without fields"),
+    "field removed": ("sigma", ..., "without its sigma"),
+    "field of a future version": ("charm", 1.0, "does not know"),
+    "array as text": ("estimates", "abc", "'abc'"),
+    "field without a default removed": ("covariance", ..., "make it again"),
+    "array as null": ("covariance", None, "covariance"),
+    "array cut": ("estimates.array", [1.0], "1 numbers for an array"),
+    "array of text": ("estimates.array", ["x", 1, 2], "something else in it"),
+    "array of objects": ("estimates.dtype", "object", "array of 'object'"),
+    "array of huge text": ("estimates.dtype", "U999999999", "expected one of"),
+    "no array where one is": ("sigma_estimated", {"tuple": []}, "sigma_estimated of shape (0,)"),
     "truth values as numbers": (
-        changed(F, "sigma_estimated", "dtype", to="float64"),
+        "sigma_estimated.dtype",
+        "float64",
         "sigma_estimated that is not true or false",
     ),
     "value of no parameter in a record": (
-        changed(F, "local_values", to={"tuple": [{"mapping": [["zz", 1.0]]}, {"mapping": []}]}),
+        "local_values",
+        {"tuple": [{"mapping": [["zz", 1.0]]}, {"mapping": []}]},
         "'zz'",
     ),
-    "innovations of no record": (changed(F, "innovations", to={"tuple": []}), "0 innovations"),
-    "array of another length": (changed(F, "estimates", to=ARRAY), "estimates of shape (2,)"),
-    "shape negative": (changed(F, "estimates", "shape", to=[-3]), "shape [-3]"),
-    "shape not a number": (changed(F, "estimates", "shape", to=[None]), "shape [None]"),
-    "shape NaN": (changed(F, "estimates", "shape", to=[float("nan")]), "shape [nan]"),
-    "shape huge": (changed(F, "estimates", "shape", to=[10**12]), "shape (1000000000000,)"),
-    "shape with too many axes": (changed(F, "estimates", "shape", to=[1] * 70), "shape"),
-    "shape missing": (changed(F, "estimates", "shape", to=...), "shape None"),
-    "number as text": (changed(F, "cost", to={"number": "many"}), "'many'"),
-    "number as object": (changed(F, "cost", to={"value": 1}), "'value'"),
-    "number as truth value in text": (changed(F, "iterations", to="4"), "iterations"),
-    "tuple as text": (changed(F, "names", to={"tuple": "K"}), "a tuple that is no list"),
-    "names that are numbers": (changed(F, "names", to={"tuple": [1, 2, 3]}), "names"),
-    "name of no parameter": (changed(F, "names", "tuple", 0, to="Q"), "'Q'"),
-    "mapping without pairs": (changed(F, "extras", to={"mapping": [1]}), "list of pairs"),
-    "mapping with a list as key": (
-        changed(F, "extras", to={"mapping": [[{"mapping": []}, 1]]}),
-        "cannot be one",
-    ),
+    "innovations of no record": ("innovations", {"tuple": []}, "0 innovations"),
+    "array of another length": ("estimates", ARRAY, "estimates of shape (2,)"),
+    "shape negative": ("estimates.shape", [-3], "shape [-3]"),
+    "shape not a number": ("estimates.shape", [None], "shape [None]"),
+    "shape NaN": ("estimates.shape", [float("nan")], "shape [nan]"),
+    "shape huge": ("estimates.shape", [10**12], "shape (1000000000000,)"),
+    "shape with too many axes": ("estimates.shape", [1] * 70, "shape"),
+    "shape missing": ("estimates.shape", ..., "shape None"),
+    "number as text": ("cost", {"number": "many"}, "'many'"),
+    "number as object": ("cost", {"value": 1}, "'value'"),
+    "number as truth value in text": ("iterations", "4", "iterations"),
+    "tuple as text": ("names", {"tuple": "K"}, "a tuple that is no list"),
+    "names that are numbers": ("names", {"tuple": [1, 2, 3]}, "names"),
+    "name of no parameter": ("names.tuple.0", "Q", "'Q'"),
+    "mapping without pairs": ("extras", {"mapping": [1]}, "list of pairs"),
+    "mapping with a list as key": ("extras", {"mapping": [[{"mapping": []}, 1]]}, "cannot be one"),
     "status of another class": (
-        changed(F, "status", to={"class": "State", F: {"name": "a", "unit": "m"}}),
+        "status",
+        {"class": "State", "fields": {"name": "a", "unit": "m"}},
         "status",
     ),
-    "list where nothing may be": (changed(F, "cost", to=[1]), "cost"),
-    "predictions of another shape": (
-        changed(F, "predictions", "tuple", 0, to=ARRAY),
-        "predictions of shape (2,)",
-    ),
-    "one record of residuals": (
-        changed(F, "residuals", to={"tuple": []}),
-        "0 residuals for 2 records",
-    ),
+    "list where nothing may be": ("cost", [1], "cost"),
+    "predictions of another shape": ("predictions.tuple.0", ARRAY, "predictions of shape (2,)"),
+    "one record of residuals": ("residuals", {"tuple": []}, "0 residuals for 2 records"),
     "model with a bad expression": (
-        changed(F, "model", F, "kinematics", "mapping", 0, 1, to="__import__('os')"),
+        "model.kinematics.mapping.0.1",
+        "__import__('os')",
         "expected numbers",
     ),
-    "model without states": (
-        changed(F, "model", F, "states", "tuple", to=[]),
-        "at least one state",
-    ),
-    "parameter of no value": (
-        changed(F, "model", F, "parameters", "tuple", 0, F, "value", to={"number": "nan"}),
-        "NaN",
-    ),
-    "parameter outside its bounds": (
-        changed(F, "model", F, "parameters", "tuple", 1, F, "lower", to=1e9),
-        "outside its bounds",
-    ),
-    "times that run backwards": (
-        changed(F, "dataset", F, "records", "tuple", 0, F, "times", "array", 3, to=-1.0),
-        "runs backwards",
-    ),
-    "dataset without records": (
-        changed(F, "dataset", F, "records", "tuple", to=[]),
-        "at least one record",
-    ),
-    "dataset as a number": (changed(F, "dataset", to=3.0), "dataset"),
-    "output that is another class": (
-        changed(F, "model", F, "outputs", "tuple", 0, "class", to="Status"),
-        "Status",
-    ),
+    "model without states": ("model.states.tuple", [], "at least one state"),
+    "parameter of no value": ("model.parameters.tuple.0.value", {"number": "nan"}, "NaN"),
+    "parameter outside its bounds": ("model.parameters.tuple.1.lower", 1e9, "outside its bounds"),
+    "times that run backwards": ("dataset.records.tuple.0.times.array.3", -1.0, "runs backwards"),
+    "dataset without records": ("dataset.records.tuple", [], "at least one record"),
+    "dataset as a number": ("dataset", 3.0, "dataset"),
+    "output that is another class": ("model.outputs.tuple.0.class", "Status", "Status"),
 }
 
 
-@pytest.mark.parametrize(("act", "word"), CONTENT.values(), ids=CONTENT)
-def test_damaged_content_is_named(tmp_path: Path, act: Callable[[dict], None], word: str) -> None:
+@pytest.mark.parametrize(("path", "to", "word"), CONTENT.values(), ids=CONTENT)
+def test_damaged_content_is_named(tmp_path: Path, path: str, to: Any, word: str) -> None:
     """Whatever is wrong inside a file without digest, a DataError says what it is."""
     data = json.loads(OLD.read_text())
-    act(data["fit"])
+    change(data["fit"], path, to)
     place = tmp_path / "fit.json"
     place.write_text(json.dumps(data))
     with pytest.raises(DataError) as caught:
@@ -211,7 +184,7 @@ def test_damaged_content_is_named(tmp_path: Path, act: Callable[[dict], None], w
 def test_a_number_written_without_a_point_is_a_number(tmp_path: Path) -> None:
     """What other programs write of a float is read as one, however large."""
     data = json.loads(OLD.read_text())
-    data["fit"][F]["cost"] = 10**30
+    data["fit"]["fields"]["cost"] = 10**30
     (tmp_path / "fit.json").write_text(json.dumps(data))
     fit = Fit.load(tmp_path / "fit.json")
     assert type(fit.cost) is float
