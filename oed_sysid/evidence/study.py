@@ -43,7 +43,7 @@ from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
 from oed_sysid.likelihood.noise_model import Disturbances, Levels, NoiseModel, forces_in, seas_in
 from oed_sysid.likelihood.projection import eliminate
-from oed_sysid.likelihood.random_forces import Start, admitted, fit_disturbed
+from oed_sysid.likelihood.random_forces import Start, admitted, fit_disturbed, solved
 from oed_sysid.likelihood.score_test import ScoreTest, Setting, score_test
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.summary import Procedure, summarise_filtered
@@ -307,7 +307,7 @@ class Study:
 
     def settle(self, found: FilteredSolution) -> FilteredSolution:
         """Estimate once more, every part of the noise model asked for again."""
-        again = solve_filtered(found.problem, found.point, max_iterations=25, polish=0)
+        again = solved(found, 25)
         return admitted(min(again, found, key=lambda one: one.objective), self.setting)
 
     def resolved(self, found: FilteredSolution) -> FilteredSolution:
@@ -340,9 +340,7 @@ class Study:
     @_once
     def polished(self, found: FilteredSolution) -> FilteredSolution:
         """A fit at the optimum of the filter as it is, with errors of that."""
-        return (
-            solve_filtered(found.problem, found.point, max_iterations=2, polish=2).finite or found
-        )
+        return solved(found, 2, polish=2).finite or found
 
     def result(self, found: FilteredSolution, label: str) -> Fit:
         """The fit of a model that was found and polished."""

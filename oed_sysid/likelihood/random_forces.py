@@ -96,11 +96,20 @@ def solved(
     progress: Callable[[Progress], None] | None = None,
     *,
     tolerance: float = FROZEN_TOLERANCE,
+    polish: int = 0,
 ) -> FilteredSolution:
-    """The end of at most so many steps at frozen gain."""
-    where = begin.problem, begin.point
+    """The end of at most so many steps at frozen gain, and of those of the filter as it is.
+
+    Where a solution ended the steps go on from what is known there.
+    """
     return solve_filtered(
-        *where, max_iterations=most, tolerance=tolerance, polish=0, callback=progress
+        begin.problem,
+        begin.point,
+        max_iterations=most,
+        tolerance=tolerance,
+        polish=polish,
+        callback=progress,
+        begin=begin.now if isinstance(begin, FilteredSolution) else None,
     )
 
 
@@ -167,7 +176,7 @@ def _raced_to_sea(
     """The likeliest end with forces of first order, or with a sea where there is one."""
     best = _raced(beginnings, min(setting.max_iterations, FIRST_STEPS), progress)
     if best.finite is not None:
-        start = solved(min(beginnings, key=lambda one: one.cost), 0, progress)
+        start = FilteredSolution(min(beginnings, key=lambda one: one.cost), 0, "iterations")
         best = with_sea(best, setting, (best, start))
     left = setting.max_iterations - FIRST_STEPS
     if best.reason != "iterations" or left <= 0:
@@ -179,9 +188,7 @@ def _raced_to_sea(
 def _polished(found: FilteredSolution, polish: int) -> FilteredSolution:
     """The end by the exact gradient, which has the last word only where it finds a way."""
     more = 0 if found.reason == "converged" else FEW
-    again = solve_filtered(
-        found.problem, found.point, max_iterations=more, polish=polish, begin=found.now
-    )
+    again = solved(found, more, polish=polish)
     stood = not more and again.reason == "iterations"
     reason = found.reason if stood else again.reason
     return replace(again, iterations=again.iterations + found.iterations, reason=reason)
@@ -776,12 +783,9 @@ def _at_sea(
     shaped = [replace(noise.seas[0], shape=s) for s in ([known.shape] if known.shape else SHAPES)]
     looked = [again(near, replace(noise, seas=(one,)), free, FEW) for one in shaped]
 
-    def to_the_end(one: FilteredSolution) -> FilteredSolution:
-        most = setting.max_iterations
-        return solve_filtered(one.problem, one.point, max_iterations=most, polish=0, begin=one.now)
-
+    to_the_end = partial(solved, most=setting.max_iterations)
     best = _first_home(looked, to_the_end)
-    return best if best.promise < FROZEN_TOLERANCE else to_the_end(best)
+    return to_the_end(best) if best in looked else best
 
 
 def _likeliest_sea(found: FilteredSolution, setting: Setting, alone: NoiseModel, sea: Sea) -> Sea:
