@@ -541,9 +541,12 @@ class Descent:
             # Exact penalty: large enough that closing the defects pays for the cost it may raise.
             self._penalty = max(self._penalty, -2.0 * self.decrease / now.defect)
         expected = self.decrease + self._penalty * now.defect
-        # Where only short steps were good, the next begins a little longer than the last.
+        # Where only short steps were good, the next begins a little longer than the last, and its
+        # cost alone is asked first.
         length = min(1.0, self._length / SHORTER)
         evaluate = self.evaluate
+        if self._length < 1.0:
+            evaluate = self.control.quick or evaluate
         for _ in range(self.control.lengths):
             trial = now.moved(step, length, self._damping)
             new = evaluate(now.problem, trial)
@@ -563,7 +566,7 @@ class Descent:
                     return True
             length *= SHORTER
             evaluate = self.control.quick or evaluate
-        self._length = 1.0
+        self._length = SHORTER
         return False
 
 
