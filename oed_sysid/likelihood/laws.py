@@ -171,7 +171,7 @@ def departures_beside(fit: Estimate) -> tuple[Departure, ...]:
     asked, columns = asked_of(fit.model), list[list[np.ndarray]]()
     for signal, kind in asked:
         spoilt, unit = _spoilt(fit, signal, kind, point.passes)
-        moved = posed_again(replace(fit, dataset=spoilt))[0].passes(unknowns, columns=False)
+        moved = problem.posed(dataset=spoilt).passes(unknowns, columns=False)
         columns.append(
             [
                 (other.innovations - part.innovations) / np.sqrt(part.variances) / unit
