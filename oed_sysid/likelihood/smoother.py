@@ -25,7 +25,7 @@ come from here, parameters and their errors from the filter.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -200,24 +200,33 @@ def interpolated(part: FilterPass, used: np.ndarray) -> np.ndarray:
     """
     assert part.gains is not None
     assert part.moves is not None
-    size = part.gains.shape[3]
-    told = np.full(part.innovations.shape, np.nan)
-    r, later = np.zeros(size), np.zeros((size, size))
-    for k in range(len(told) - 1, -1, -1):
-        move = part.moves[k, :size]
-        r, later = move.T @ r, move.T @ later @ move
-        for i in np.flatnonzero(np.isfinite(part.innovations[k]))[::-1]:
-            seen, gain = part.gains[k, i]
-            error, variance = part.innovations[k, i], part.variances[k, i]
-            left, spread = error / variance - gain @ r, variance * (gain @ later @ gain)
-            # What all others say of a sample that is not used is known to rounding at best.
-            own = max(1.0 + (spread if used[k, i] else -spread), np.finfo(float).eps)
-            told[k, i] = left * np.sqrt(variance / own)
-            if used[k, i]:
-                # r before the measurement, and N likewise.
-                r = r + seen * left
-                later = later - np.outer(seen, gain @ later)
-                later = later - np.outer(later @ gain, seen) + np.outer(seen, seen) / variance
+    used = used & np.isfinite(part.innovations)
+    # From sample to sample as one move; then all samples at once, one output after the other.
+    path = Path.of(replace(part, innovations=np.where(used, part.innovations, np.nan)))
+    weighted = np.swapaxes(path.seen / part.variances[:, :, None], 1, 2)
+    pulls, added = weighted @ np.where(used, part.innovations, 0.0)[..., None], weighted @ path.seen
+    r, later = np.zeros_like(pulls), np.zeros_like(path.closed)
+    for k in range(len(r) - 1, 0, -1):
+        back = path.closed[k].T
+        r[k - 1], later[k - 1] = back @ r[k] + pulls[k], back @ later[k] @ back.T + added[k]
+    move = part.moves[:, : path.closed.shape[1]]
+    back = np.swapaxes(move, 1, 2)
+    r, later = back @ r, back @ later @ move
+    told = np.empty_like(part.innovations)
+    for i in reversed(range(told.shape[1])):
+        seen, gain = np.moveaxis(part.gains[:, i, :, :, None], 1, 0)
+        variance, moves = part.variances[:, i, None, None], used[:, i, None, None]
+        row, pulled = np.swapaxes(gain, 1, 2), later @ gain
+        left = part.innovations[:, i, None, None] / variance - row @ r
+        spread = row @ pulled
+        # What all others say of a sample that is not used is known to rounding at best.
+        own = 1.0 + variance * np.where(moves, spread, -spread)
+        told[:, i] = (left * np.sqrt(variance / np.maximum(own, np.finfo(float).eps)))[:, 0, 0]
+        # r before the measurement, and N likewise.
+        seen = np.where(moves, seen, 0.0)
+        r = r + seen * np.where(moves, left, 0.0)
+        change = seen @ np.swapaxes(pulled - 0.5 * (spread + 1.0 / variance) * seen, 1, 2)
+        later = later - change - np.swapaxes(change, 1, 2)
     return told
 
 
