@@ -385,7 +385,8 @@ class MultipleShooting:
         plain = replace(self, loss="square", disturbances="none")
         # While some are left, they must not bend the residuals in which they are looked for.
         few = replace(self.solver, max_iterations=min(FIRST_STEPS, self.solver.max_iterations))
-        looking = replace(plain, loss="student", solver=few)
+        # Nobody asks for the errors of these.
+        looking = replace(plain, loss="student", solver=few, coloured="never")
         before, spent = _measured(fit.dataset), [fit.iterations]
 
         def again_by(way: MultipleShooting, dataset: Dataset, earlier: Fit | None) -> Fit:
