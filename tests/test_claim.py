@@ -28,8 +28,6 @@ from oed_sysid import (
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.chance import FALSE_CLAIMS, threshold
 from oed_sysid.evidence.claim import (
-    RISE,
-    RISE_DISTURBED,
     Claim,
     at_bounds,
     claim,
@@ -37,7 +35,7 @@ from oed_sysid.evidence.claim import (
 )
 from oed_sysid.evidence.rank import pairs, rank
 from oed_sysid.evidence.score import two_sided
-from oed_sysid.evidence.study import Study
+from oed_sysid.evidence.study import RISE, RISE_DISTURBED, Study
 from oed_sysid.likelihood.disturbances import disturbed_equations
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.noise_model import Levels

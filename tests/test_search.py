@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from motion import small
 from scipy.linalg import expm
 
+import oed_sysid.evidence.search as search_module
+import oed_sysid.evidence.study as study_module
 from oed_sysid import (
     Dataset,
     Force,
@@ -14,11 +18,19 @@ from oed_sysid import (
     Parameter,
     Record,
 )
-from oed_sysid.evidence.claim import Claim, own_error
-from oed_sysid.evidence.improve import _ended
-from oed_sysid.evidence.rank import rank
+from oed_sysid.evidence.claim import Claim
+from oed_sysid.evidence.rank import Ranking, Refit, rank
 from oed_sysid.evidence.remainder import Remains
-from oed_sysid.evidence.search import Added, Ended, Search, Standing, not_astray, with_waves
+from oed_sysid.evidence.search import (
+    Added,
+    Ended,
+    Search,
+    Standing,
+    eliminated,
+    not_astray,
+    with_refit,
+    with_waves,
+)
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.laws import Law
@@ -87,7 +99,7 @@ def test_forces_are_not_left_out_for_nothing(
     calm, fit = Study.begin(SHIP, data, None, (push,), known_noise=False, disturbances="none")
     pushed = calm.estimate((push,), fit.values, fit)
     assert pushed is not None
-    assert own_error(study, base, data) > better * own_error(calm, fit, data)
+    assert study.own_error(base, data) > better * calm.own_error(fit, data)
     ranking = rank(study, base, ())
     claimed = Added(push, Claim("push", 20.0, np.nan, 10.0), ("push",))
     state = Standing(calm, (claimed,), pushed, (fit, pushed))
@@ -147,17 +159,44 @@ def test_a_swell_is_found_that_the_noise_of_a_sensor_had_taken() -> None:
     assert study.result(posed, "").log_likelihood > plain.log_likelihood - 1.0
 
 
-def test_the_last_steps_do_not_return_worse_whole_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the optimum of the filter as it is predicts worse, what the search reached stays."""
-    study, base = Study.begin(SHIP, turns(5, 0.05), turns(6, 0.05), (), known_noise=False)
-    unknowns = base.point.unknowns.copy()
+@pytest.fixture(scope="module")
+def lagging() -> tuple[Study, FilteredSolution, FilteredSolution, Ranking]:
+    """A ship with a small lag: its study, fit, one of much worse runs, and the lag's refit."""
+    lag = actuator_lag("rudder_lag", "delta", scale=0.5)
+    study, base = Study.begin(SHIP, turns(5, 0.05), turns(6, 0.05), (lag,), known_noise=False)
+    with_lag = study.estimate((lag,), base.values, base)
+    assert with_lag is not None
+    unknowns = with_lag.point.unknowns.copy()
     unknowns[:2] *= 2.0
-    worse = FilteredSolution(begun(base.problem, unknowns), 1, "converged")
+    worse = FilteredSolution(begun(with_lag.problem, unknowns), 1, "converged")
+    assert study.own_error(worse) > 2.0 * study.own_error(base)
+    ranking = rank(study, base, study.candidates, n_refits=0)
+    refit = Refit(ranking.scores, with_lag, 0.0, 10.0)
+    return study, base, worse, replace(ranking, refits=(refit,))
+
+
+def test_no_stage_returns_worse_whole_runs(
+    lagging: tuple[Study, FilteredSolution, FilteredSolution, Ranking],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where a better likelihood predicts worse, every stage returns what it was given."""
+    study, base, worse, ranking = lagging
+    (lag,) = ranking.refits
     better = study.polished(base)
-    assert study.validation is not None
-    assert own_error(study, worse, study.validation) > 2.0 * own_error(
-        study, base, study.validation
-    )
-    assert _ended(study, base).point.unknowns == pytest.approx(better.point.unknowns)
-    monkeypatch.setattr(Study, "polished", lambda self, fit: worse)
-    assert _ended(study, base) is base
+    assert better is not base
+    assert study.own_error(better) == pytest.approx(study.own_error(base), rel=1e-2)
+    claimed = Claim(lag.name, 20.0, 1.0, 10.0)
+    state = Standing(study, (), base, (base,))
+    added = with_refit(state, lag, [claimed], ranking)
+    assert study.own_error(added.fit) < 1.02 * study.own_error(lag.fit)
+
+    monkeypatch.setattr(study_module, "solve_filtered", lambda *given, **named: worse)
+    monkeypatch.setattr(Study, "settle", lambda self, fit: worse)
+    monkeypatch.setattr(Study, "resolved", lambda self, fit: worse)
+    assert study.polished(lag.fit) is lag.fit
+    assert with_refit(state, lag, [claimed], ranking).fit is lag.fit
+    # Left out for less than its threshold, were the runs without it not worse.
+    spared = replace(added, added=(*added.added, *added.added))
+    monkeypatch.setattr(search_module, "_without", lambda state, one: worse)
+    monkeypatch.setattr(search_module, "claim", lambda *given: Claim("lag", 0.0, 0.0, 10.0))
+    assert eliminated(spared) is spared

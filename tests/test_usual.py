@@ -17,7 +17,6 @@ from turning_ship import SHIP, dataset
 
 from oed_sysid import Dataset, Record, check, compare, diagnose, improve, simulate, usual_effects
 from oed_sysid.errors import DataError, OedSysidError
-from oed_sysid.evidence.claim import own_error
 from oed_sysid.evidence.misfit import failing
 from oed_sysid.evidence.preparation import prepared
 from oed_sysid.evidence.study import Study
@@ -463,7 +462,7 @@ def test_where_it_fails_is_a_function_of_drift_whatever_the_order() -> None:
         assert found.means == pytest.approx(curve / NOISE, abs=4.5 / np.sqrt(15))
         assert found.share > 0.9
         texts.append(found.text)
-        assert own_error(study, base, fit.dataset) > 3.0
+        assert study.own_error(base, fit.dataset) > 3.0
     assert texts[0] == texts[1]
 
 

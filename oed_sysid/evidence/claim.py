@@ -32,9 +32,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.misfit import WHITE_LEVEL
-from oed_sysid.evidence.study import Prediction, Study, total_error
+from oed_sysid.evidence.study import RISE, Prediction, Study, allowed_rise, worse
 from oed_sysid.likelihood.departures import CLEARLY
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.information import whiteness
@@ -44,10 +43,6 @@ from oed_sysid.physics import Effect
 from oed_sysid.physics.parameters import Parameter, with_parameters
 from oed_sysid.runtime.constants import ROUNDING
 from oed_sysid.runtime.display import as_dict
-
-# Error of whole validation runs, over that before, that is no rise: arithmetic and parameters a
-# little off; and where process noise acts, under which the runs of the better model wander too.
-RISE, RISE_DISTURBED = 1.02, 1.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +171,8 @@ def claim(
         share * (before.objective - after.objective),
         share * difference(*(one.value for one in told)) if told else np.nan,
         needed,
-        *_own_errors(study, before, after),
+        study.own_error(before),
+        study.own_error(after),
         allowed_rise(after),
         independent=share,
         models=tuple(zip([fit.objective for fit in fits], told or (None, None), strict=True)),
@@ -265,35 +261,3 @@ def difference(before: float, after: float) -> float:
     if not np.isfinite(after):
         return -np.inf
     return before - after if np.isfinite(before) else np.inf
-
-
-def allowed_rise(fit: FilteredSolution) -> float:
-    """Ratio of whole-run errors that is no rise."""
-    return RISE_DISTURBED if fit.noise.has_forces else RISE
-
-
-def worse(before: float, after: float, allowed: float) -> bool:
-    """Whether an error of whole validation runs rises or is infinite; never without any."""
-    return not (np.isnan(before) and np.isnan(after)) and not after <= allowed * before
-
-
-def rises(
-    study: Study, before: FilteredSolution, after: FilteredSolution, allowed: float | None = None
-) -> bool:
-    """Whether the error of whole validation runs rises from a fit to another."""
-    old, new = _own_errors(study, before, after)
-    return worse(old, new, allowed or allowed_rise(after))
-
-
-def _own_errors(
-    study: Study, before: FilteredSolution, after: FilteredSolution
-) -> tuple[float, float]:
-    """Errors of two models on their own on the validation records; NaN without any."""
-    if study.validation is None:
-        return np.nan, np.nan
-    return own_error(study, before, study.validation), own_error(study, after, study.validation)
-
-
-def own_error(study: Study, found: FilteredSolution, dataset: Dataset) -> float:
-    """Error over all outputs of the model on its own on records, in units of the noise."""
-    return total_error(study.rms(found, dataset) / study.setting.white)

@@ -16,7 +16,6 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.evidence.check import LogCheck, check, with_estimates
-from oed_sysid.evidence.claim import rises
 from oed_sysid.evidence.corrections import as_measured
 from oed_sysid.evidence.improvement import (
     Improvement,
@@ -210,7 +209,7 @@ def _result(
 ) -> Improvement:
     state, study = end.state, end.state.study
     # Fits and the table of errors are of the same estimates, as anybody finds them from the fits.
-    path = [_ended(study, fit) for fit in (end.base, *every_step(state)[1:])]
+    path = [study.polished(fit) for fit in (end.base, *every_step(state)[1:])]
     fits = [study.result(fit, "improve, disturbance forces") for fit in path]
     records = {"train": study.train, "test": study.validation}
     base_rms, *rms = [{name: study.rms(fit, of) for name, of in records.items()} for fit in path]
@@ -242,12 +241,6 @@ def _result(
         last=end.last if steps else None,
         decisions=state.decisions,
     )
-
-
-def _ended(study: Study, fit: FilteredSolution) -> FilteredSolution:
-    """The optimum of a fit, unless whole validation runs are worse there than where it was."""
-    polished = study.polished(fit)
-    return fit if rises(study, fit, polished) else polished
 
 
 def _proposed(end: Ended, steps: Sequence[Step]) -> tuple[dict[str, Any], ...]:

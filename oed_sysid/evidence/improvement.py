@@ -11,12 +11,13 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.check import LogCheck
-from oed_sysid.evidence.claim import RISE, Claim, rests
+from oed_sysid.evidence.claim import Claim, rests
 from oed_sysid.evidence.compare import Comparison
 from oed_sysid.evidence.locate import Located
 from oed_sysid.evidence.propose import Proposals
 from oed_sysid.evidence.rank import Ranking, hopeful
 from oed_sysid.evidence.remainder import Remains
+from oed_sysid.evidence.study import RISE
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
 from oed_sysid.likelihood.noise_levels import signal_spread

@@ -18,7 +18,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.chance import threshold
-from oed_sysid.evidence.claim import Claim, claim, own_error, rises
+from oed_sysid.evidence.claim import Claim, claim
 from oed_sysid.evidence.propose import Proposals, propose
 from oed_sysid.evidence.rank import Ranking, Refit, hopeful, pairs, rank
 from oed_sysid.evidence.remainder import Remains, followed, remains
@@ -208,7 +208,7 @@ class Search:
             return self.beyond(Ended(state, first, last, self._left(state)))
         state = eliminated(state, found, noise, TWOFOLD)
         records = study.train if study.validation is None else study.validation
-        here, there = own_error(found, present, records), own_error(study, state.fit, records)
+        here, there = found.own_error(present, records), study.own_error(state.fit, records)
         # Process noise that follows motion or commands is none: any better runs of no more effects.
         fewer = end.left.follows and len(state.added) <= len(end.state.added)
         if not (state.added and (1.0 if fewer else TWOFOLD) * there < here):
@@ -404,9 +404,8 @@ def with_refit(
     """Add what was claimed, and estimate once more."""
     study = state.study
     decided = next(one for one in claims if one.name == refit.name)
-    fit = study.resolved(not_astray(study, study.settle(refit.fit)))
-    if rises(study, refit.fit, fit):
-        fit = refit.fit  # a better likelihood elsewhere, which the validation records refuse
+    # A better likelihood elsewhere may be one that the validation records refuse.
+    fit = study.kept(refit.fit, study.resolved(not_astray(study, study.settle(refit.fit))))
     single = len(refit.effects) == 1
     added = [
         Added(effect, decided, ranking.claimed_with(refit, claims) if single else (effect.name,))
@@ -488,7 +487,7 @@ def _spared(
     if there is not state:
         fit = _without(state, one)
         fit = fit and state.study.settle(fit)
-    return None if fit is None or rises(state.study, state.fit, fit, rise) else (fit, judged)
+    return None if fit is None or state.study.rises(state.fit, fit, rise) else (fit, judged)
 
 
 def _exchanged(state: Standing, old: Added) -> Standing:
@@ -506,7 +505,7 @@ def _exchanged(state: Standing, old: Added) -> Standing:
     if not decided.stands or decided.excess < kept.excess + GROUP_WIDTH:
         return state
     after = with_refit(before, best, claims, ranking)
-    if rises(study, state.fit, after.fit):
+    if study.rises(state.fit, after.fit):
         return state
     return replace(after, decisions=(*state.decisions, decided))
 
@@ -524,7 +523,7 @@ def every_step(state: Standing) -> tuple[FilteredSolution, ...]:
     for count in range(1, len(state.added)):
         seen = [*_reached(state, state.effects[:count], fits[-1])]
         # Two optima of nearly the same likelihood: the one that predicts is meant.
-        seen = [fit for fit in seen if not rises(state.study, fits[-1], fit)] or seen
+        seen = [fit for fit in seen if not state.study.rises(fits[-1], fit)] or seen
         fits.append(likelier(*seen) or fits[-1])
     return (*fits, *[state.fit][: len(state.added)])
 
@@ -583,11 +582,10 @@ def with_term(
     decisions = (*state.decisions, decided)
     if not decided.stands:
         return replace(state, decisions=decisions), None, tied
-    fit = option.study.settle(option.fit)
     found = replace(
         option,
         added=(*others, replace(term, claim=decided)),
-        fit=option.fit if rises(option.study, option.fit, fit) else fit,
+        fit=option.study.kept(option.fit, option.study.settle(option.fit)),
         decisions=decisions,
         replaced=tuple(one.effect.name for one in gone),
     )

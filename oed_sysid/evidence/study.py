@@ -57,6 +57,10 @@ PLAIN = MultipleShooting(solver=Solver(max_iterations=15), coloured="never", dis
 # What a study is asked of a fit on records: claims and the table of errors ask the same.
 _once = partial(once_a_fit, place=1)
 
+# Error of whole validation runs, over that before, that is no rise: arithmetic and parameters a
+# little off; and where process noise acts, under which the runs of the better model wander too.
+RISE, RISE_DISTURBED = 1.02, 1.25
+
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
@@ -340,7 +344,7 @@ class Study:
     @_once
     def polished(self, found: FilteredSolution) -> FilteredSolution:
         """A fit at the optimum of the filter as it is, with errors of that."""
-        return solved(found, 2, polish=2).finite or found
+        return self.kept(found, solved(found, 2, polish=2).finite)
 
     def result(self, found: FilteredSolution, label: str) -> Fit:
         """The fit of a model that was found and polished."""
@@ -435,6 +439,24 @@ class Study:
         nothing = np.full(len(self.base.outputs), np.nan)
         return nothing if dataset is None else rms(self.runs(found, dataset))
 
+    def own_error(self, found: FilteredSolution, dataset: Dataset | None = None) -> float:
+        """Error of a model on its own over all outputs, in units of the noise.
+
+        By default on the validation records; NaN without any.
+        """
+        return total_error(self.rms(found, dataset or self.validation) / self.setting.white)
+
+    def rises(
+        self, before: FilteredSolution, after: FilteredSolution, allowed: float | None = None
+    ) -> bool:
+        """Whether the error of whole validation runs rises from a fit to another."""
+        old, new = self.own_error(before), self.own_error(after)
+        return worse(old, new, allowed or allowed_rise(after))
+
+    def kept(self, before: FilteredSolution, after: FilteredSolution | None) -> FilteredSolution:
+        """What a stage returns: what it made, unless it failed or whole validation runs rise."""
+        return before if after is None or self.rises(before, after) else after
+
 
 def _solved(
     problem: Filtered, start: FilteredSolution | Start, max_iterations: int
@@ -444,6 +466,16 @@ def _solved(
     return solve_filtered(
         problem, point, max_iterations=max_iterations, tolerance=0.01, polish=0
     ).finite
+
+
+def allowed_rise(fit: FilteredSolution) -> float:
+    """Ratio of whole-run errors that is no rise."""
+    return RISE_DISTURBED if fit.noise.has_forces else RISE
+
+
+def worse(before: float, after: float, allowed: float) -> bool:
+    """Whether an error of whole validation runs rises or is infinite; never without any."""
+    return not (np.isnan(before) and np.isnan(after)) and not after <= allowed * before
 
 
 def total_error(rms: np.ndarray) -> float:
