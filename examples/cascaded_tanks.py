@@ -6,9 +6,8 @@ model; the second half validates them. Then the same question is put to a model 
 knows Torricelli's law already: does it lack the same things?
 
 One level of two is measured, so that a disturbance force in a tank can do, from sample to sample,
-what
-an overflow does. Both questions are therefore put twice, without disturbance forces and with them;
-where these leave structure missing, the search with them is made again without by itself.
+what an overflow does. Both questions are therefore put twice, without disturbance forces and with
+them; with them the search is made again without by itself.
 """
 
 from oed_sysid import load_problem

@@ -80,7 +80,7 @@ def test_an_effect_is_estimated_anew_from_nominal_values() -> None:
     study, base = Study.begin(SHIP, turns(0, 1.5), None, (lag,), known_noise=False)
     swapped = {"a_v": -0.07, "a_r": -3.6, "a_d": 0.65, "c_v": 0.02, "c_r": 0.7, "c_d": 0.06}
     start = base.values | swapped | {"E_rudder_lag": 3.7}
-    astray = study.estimate(study.candidates, start, base, noise=study.quiet(base.noise))
+    astray = study.estimate(study.candidates, start, base, noise=study.loosened(base.noise))
     assert astray is not None
     assert astray.values["E_rudder_lag"] > 3.0
     found = not_astray(study, astray)
@@ -200,3 +200,10 @@ def test_no_stage_returns_worse_whole_runs(
     monkeypatch.setattr(search_module, "_without", lambda state, one: worse)
     monkeypatch.setattr(search_module, "claim", lambda *given: Claim("lag", 0.0, 0.0, 10.0))
     assert eliminated(spared) is spared
+
+
+def test_a_bound_is_asked_with_the_threshold_of_what_is_claimed() -> None:
+    """What takes the place of others needs less; its bound is no more suspect for it."""
+    one = Claim("x", 111.0, 272.0, 4.9, 24.5, 13.1, 1.25, ("E_x",), 5.0, spared=21.0)
+    assert one.decision == "stands, at its bound (E_x)"
+    assert replace(one, beyond=26.0).decision.endswith("26.0 likelier beyond")

@@ -58,7 +58,7 @@ class Claim:
     validation : float
         The same of the prediction of the validation records; NaN without any.
     needed : float
-        Threshold.
+        Threshold, less ``spared``.
     before, after : float
         Errors of whole validation runs, in units of the noise; NaN without any.
     allowed : float
@@ -75,6 +75,8 @@ class Claim:
         records (None without any).
     behind : str
         What was taken before it, or why it was not taken, where it stands.
+    spared : float
+        Thresholds of the effects that it takes the place of.
     """
 
     name: str
@@ -89,6 +91,7 @@ class Claim:
     independent: float = 1.0
     models: tuple[tuple[float, Prediction | None], ...] = ()
     behind: str = ""
+    spared: float = 0.0
 
     @property
     def statistic(self) -> float:
@@ -110,8 +113,7 @@ class Claim:
     @property
     def held(self) -> bool:
         """Whether bounds keep the records from being clearly likelier."""
-        # What takes the place of others may need less than nothing.
-        return self.beyond > max(self.needed, 0.0)
+        return self.beyond > max(self.needed + self.spared, 0.0)
 
     @property
     def stands(self) -> bool:
@@ -151,6 +153,7 @@ def claim(
     after: FilteredSolution,
     effects: Sequence[Effect],
     needed: float,
+    spared: float = 0.0,
 ) -> Claim:
     """Ask whether effects are to be claimed.
 
@@ -163,6 +166,8 @@ def claim(
         What is asked.
     needed : float
         Threshold.
+    spared : float
+        Thresholds of the effects that they take the place of.
     """
     share, records, fits = independent_share(study, before), study.validation, (before, after)
     told = [] if records is None else [study.predict(fit, records) for fit in fits]
@@ -170,12 +175,13 @@ def claim(
         " + ".join(effect.name for effect in effects),
         share * (before.objective - after.objective),
         share * difference(*(one.value for one in told)) if told else np.nan,
-        needed,
+        needed - spared,
         study.own_error(before),
         study.own_error(after),
         allowed_rise(after),
         independent=share,
         models=tuple(zip([fit.objective for fit in fits], told or (None, None), strict=True)),
+        spared=spared,
     )
     if not found.excess > 0.0:
         return found

@@ -149,8 +149,9 @@ def improve(
     searched = (0, False) if read_wrong else (max_effects, terms)
     run = Search(searched[0], tell, keep, notes, ready.whole, searched[1])
     end = run.beyond(run.known(study, base))
-    structured = end.left.structured and not end.left.is_noise
-    if disturbances == "auto" and not read_wrong and structured:
+    # Forces may have grown over more than what was found beside them.
+    hiding = not end.left.is_noise and (end.left.structured or end.state.added)
+    if disturbances == "auto" and not read_wrong and hiding:
         tell("searching without disturbance forces")
         calm = keep.once("without disturbance forces", partial(begin, disturbances="none"))
         end = run.calmer(end, *calm)

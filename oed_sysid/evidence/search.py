@@ -182,22 +182,22 @@ class Search:
 
         A large missing effect makes forces grow until the records are likely and whole runs are
         not: the right effect does not lead out of that valley. What the other search finds is
-        claimed against what this one has, with disturbance forces in both. Where that is not
-        likelier, whole runs decide: a constant force, say, does not show beside forces that
+        estimated with forces from where it ended, and claimed against what this one has. Where that
+        is not likelier, whole runs decide: a constant force, say, does not show beside forces that
         wander, and process noise could not have left runs that are so much better. Where forces
         follow motion or commands, which no disturbance does, any better runs of no more effects do.
         Nothing found is no reason to leave out forces that the records ask for.
         """
         calm, first, last = self.ended(study, base)
         found, present = end.state.study, end.state.fit
-        noise = found.quiet(found.loosened(present.noise))
+        noise = found.loosened(calm.fit.noise)
         fit = calm.added and found.estimate(calm.effects, calm.fit.values, calm.fit, noise=noise)
         if not fit:
             return end
         # More than nothing, where both found the same.
-        more = 2.0 * NEAR + sum(calm.needed(effect) for effect in calm.effects)
-        more -= sum(end.state.needed(effect) for effect in end.state.effects)
-        decided = claim(found, present, fit, calm.effects, more)
+        needed = 2.0 * NEAR + sum(calm.needed(effect) for effect in calm.effects)
+        spared = sum(end.state.needed(effect) for effect in end.state.effects)
+        decided = claim(found, present, fit, calm.effects, needed, spared)
         state = replace(calm, decisions=(*end.state.decisions, decided))
         if decided.stands:
             self.notes.append(
@@ -573,9 +573,9 @@ def with_term(
 
     option, proposals = min(options, key=lambda pair: cost(pair[0]))
     gone = [one for one in state.added if one.effect.name not in option.names]
-    needed = proposals.needed - sum(state.needed(one.effect) for one in gone)
+    spared = sum(state.needed(one.effect) for one in gone)
     *others, term = option.added
-    decided = claim(option.study, state.fit, option.fit, [term.effect], needed)
+    decided = claim(option.study, state.fit, option.fit, [term.effect], proposals.needed, spared)
     if gone:
         names = " + ".join(one.effect.name for one in gone)
         decided = replace(decided, name=f"{decided.name} in the place of {names}")

@@ -327,19 +327,12 @@ class Study:
         return ends[resolved(self.result(found, ""), again).model.step]
 
     def loosened(self, noise: NoiseModel) -> NoiseModel:
-        """Noise levels from which a vanished disturbance can come back."""
-        return replace(noise, force=np.maximum(noise.force, 0.5 * self._natural(noise)))
-
-    def quiet(self, noise: NoiseModel) -> NoiseModel:
-        """The same noise with forces no larger than the records begin to tell."""
-        return replace(noise, force=np.minimum(noise.force, self._natural(noise)))
-
-    def _natural(self, noise: NoiseModel) -> np.ndarray:
-        """Forces of which the records begin to tell, none where none is to be estimated."""
+        """Noise levels from which a vanished disturbance can come back, where one may act."""
         known = dict(zip(self.unit.places, self.unit.force, strict=True))
-        return np.array(
-            [0.0 if name in self.setting.known else known.get(name, 0.0) for name in noise.places]
-        )
+        told = [
+            0.0 if name in self.setting.known else known.get(name, 0.0) for name in noise.places
+        ]
+        return replace(noise, force=np.maximum(noise.force, 0.5 * np.array(told)))
 
     @_once
     def polished(self, found: FilteredSolution) -> FilteredSolution:
