@@ -34,6 +34,7 @@ from oed_sysid.evidence.search import (
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.laws import Law
+from oed_sysid.likelihood.projection import eliminate
 from oed_sysid.likelihood.random_forces import begun
 from oed_sysid.physics import actuator_lag
 from oed_sysid.runtime.journal import Journal
@@ -190,7 +191,7 @@ def test_no_stage_returns_worse_whole_runs(
     added = with_refit(state, lag, [claimed], ranking)
     assert study.own_error(added.fit) < 1.02 * study.own_error(lag.fit)
 
-    monkeypatch.setattr(study_module, "solve_filtered", lambda *given, **named: worse)
+    monkeypatch.setattr(study_module, "solved", lambda *given, **named: worse)
     monkeypatch.setattr(Study, "settle", lambda self, fit: worse)
     monkeypatch.setattr(Study, "resolved", lambda self, fit: worse)
     assert study.polished(lag.fit) is lag.fit
@@ -207,3 +208,21 @@ def test_a_bound_is_asked_with_the_threshold_of_what_is_claimed() -> None:
     one = Claim("x", 111.0, 272.0, 4.9, 24.5, 13.1, 1.25, ("E_x",), 5.0, spared=21.0)
     assert one.decision == "stands, at its bound (E_x)"
     assert replace(one, beyond=26.0).decision.endswith("26.0 likelier beyond")
+
+
+def test_rounding_of_what_is_known_makes_no_prediction(
+    lagging: tuple[Study, FilteredSolution, FilteredSolution, Ranking],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A filter that nearly diverges leaves a direction known less than nothing: not known."""
+    study, base, *_ = lagging
+    assert study.validation is not None
+    honest = study.predict(base, study.validation).misfit
+
+    def rounded(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.ndarray:
+        found = eliminate(matrix, kept, others)
+        values, vectors = np.linalg.eigh(found)
+        return found - (values[0] + 1e-3 * values[-1]) * np.outer(vectors[:, 0], vectors[:, 0])
+
+    monkeypatch.setattr(study_module, "eliminate", rounded)
+    assert study.predict(replace(base), study.validation).misfit == pytest.approx(honest, abs=10.0)

@@ -42,7 +42,7 @@ from oed_sysid.likelihood.integration import resolved
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
 from oed_sysid.likelihood.noise_model import Disturbances, Levels, NoiseModel, forces_in, seas_in
-from oed_sysid.likelihood.projection import eliminate
+from oed_sysid.likelihood.projection import eliminate, inverse_of
 from oed_sysid.likelihood.random_forces import Start, admitted, fit_disturbed, solved
 from oed_sysid.likelihood.score_test import ScoreTest, Setting, score_test
 from oed_sysid.likelihood.shooting import Shooting
@@ -359,7 +359,8 @@ class Study:
         matrix = found.matrix + np.diag(limits.prior_weight)
         scale = limits.scale[shared]
         known = eliminate(matrix, shared, np.arange(len(shared), layout.n_unknowns))
-        known = known + np.diag(RANK_TOLERANCE**2 / scale**2)
+        # Rounding, where a filter nearly diverges, would leave directions known less than nothing.
+        known = inverse_of(inverse_of(known)) + np.diag(RANK_TOLERANCE**2 / scale**2)
         levels = self.levels(self.loosened(found.noise), validation)
         knowledge = Knowledge(found.point.unknowns[shared].copy(), known)
         problem = found.problem.posed(
