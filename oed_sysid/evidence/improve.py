@@ -27,7 +27,7 @@ from oed_sysid.evidence.locate import Located, likeliest, locate
 from oed_sysid.evidence.preparation import Prepared, prepared
 from oed_sysid.evidence.remainder import Remains
 from oed_sysid.evidence.search import Ended, Search, every_step
-from oed_sysid.evidence.study import Study
+from oed_sysid.evidence.study import RISE, Study, worse
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.archive import encode
 from oed_sysid.likelihood.between_records import WORTH_TELLING
@@ -149,8 +149,9 @@ def improve(
     searched = (0, False) if read_wrong else (max_effects, terms)
     run = Search(searched[0], tell, keep, notes, ready.whole, searched[1])
     end = run.beyond(run.known(study, base))
-    # Forces may have grown over more than what was found beside them.
-    hiding = not end.left.is_noise and (end.left.structured or end.state.added)
+    # Whole runs that got worse were allowed because forces act, which may have grown over more.
+    allowed = any(worse(one.claim.before, one.claim.after, RISE) for one in end.state.added)
+    hiding = not end.left.is_noise and (end.left.structured or allowed)
     if disturbances == "auto" and not read_wrong and hiding:
         tell("searching without disturbance forces")
         calm = keep.once("without disturbance forces", partial(begin, disturbances="none"))
