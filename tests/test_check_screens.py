@@ -14,10 +14,12 @@ from benchmarks.truth import gauss_markov
 from oed_sysid import Force, Input, Model, Output, Parameter, State, load_problem, simulate_inputs
 from oed_sysid.cli import main
 from oed_sysid.data.dataset import Dataset, read_csv, write_csv
+from oed_sysid.data.record import Record
 from oed_sysid.errors import ModelError
 from oed_sysid.evidence.check import LogCheck, check, corrected_copies, why_not_more
 from oed_sysid.evidence.contrasts import UNEXPLAINED, unexplained
 from oed_sysid.evidence.relations import relations
+from oed_sysid.evidence.remainder import Remains
 from oed_sysid.evidence.screens import bursts, jitter, screen, screened, steps
 from oed_sysid.evidence.traces import Trace, after_steps
 from oed_sysid.likelihood.noise_levels import cubic_weights, off_cubic
@@ -336,6 +338,31 @@ def test_a_heading_that_catches_up_is_not_shifted() -> None:
     assert one.size == pytest.approx(heading[first + 30] - heading[first], abs=0.05)
     assert one.correction is None
     assert "caught up" in one.says
+
+
+def test_a_jump_that_no_equation_contradicts_is_a_note() -> None:
+    """A tank's level may fall at once, or its sensor was set: nothing else in the log tells."""
+    tank = Model(
+        "tank",
+        (State("level", "m"),),
+        (Input("pump", "m/s"),),
+        (Output("level", "m", noise_std=0.01),),
+        kinematics={"level": "a*pump - b*level"},
+        parameters=(Parameter("a", 1.0, "1"), Parameter("b", 0.1, "1/s")),
+    )
+    times = np.arange(300.0)
+    level = 1.0 + 0.5 * np.sin(0.05 * times) - 0.3 * (times >= 150.0)
+    level += 0.01 * np.random.default_rng(0).standard_normal(300)
+    pump = 0.1 + 0.05 * np.sin(0.05 * times)
+    data = Dataset((Record("run", times, pump[:, None], level[:, None], tank.channels),))
+    found = check(data, tank, inputs=False)
+    one = found.named("step", "level")
+    assert one is not None
+    assert one.size == pytest.approx(-0.3, abs=0.05)
+    assert (one.suspect, one.correction, found.suspect) == (False, None, False)
+    # Nothing is certified that the check could not judge.
+    assert found.unjudged == ("whether level jumped or its sensor was set",)
+    assert Remains(0.0, None, unjudged=found.unjudged).kind == "not known"
 
 
 def heading(jump: float, turning: float, noise: float = 0.002) -> Trace:

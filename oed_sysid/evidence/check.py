@@ -134,6 +134,7 @@ def check(
     clean = _clean(traces, faults)
     if equations:
         faults, related, balances, ended = _related(dataset, model, clean, equations, faults)
+    faults = [_moved(one, equations) for one in faults]
     late = jitter(clean)
     findings = [
         *words.screen_findings(dataset, traces, faults),
@@ -220,6 +221,12 @@ def _steps(
         for share, size in zip(shares, fault.sizes, strict=True)
     ]
     return fixes if Evidence(some, [here]).gained(fixes) > 0.0 else []
+
+
+def _moved(fault: Fault, equations: tuple[Relation, ...]) -> Fault:
+    """A fault; a step of a signal that no equation relates is none that anything contradicts."""
+    told = fault.kind != "step" or any(fault.signal in one.names for one in equations)
+    return fault if told else replace(fault, kind="moved")
 
 
 def _resized(

@@ -262,6 +262,7 @@ def _whole(end: Ended, fit: Fit, log: LogCheck | None) -> Remains:
         training=fit.whole_runs,
         validation=None if validation is None else fit.runs_on(validation),
         suspect=log.verdict if log is not None and log.suspect else "",
+        unjudged=() if log is None else log.unjudged,
     )
 
 

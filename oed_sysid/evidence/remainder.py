@@ -125,6 +125,8 @@ class Remains:
         Disturbances that are functions of motion and commands; None where that was not asked.
     suspect : str
         Why the log contradicts itself; empty where it does not.
+    unjudged : tuple of str
+        What the check of the log could not judge, in words.
     fit : FilteredSolution, optional
         Without disturbances where none is real: whole runs are then asked of it.
 
@@ -141,6 +143,7 @@ class Remains:
     tied: tuple[str, ...] = ()
     follows: tuple[Law, ...] | None = None
     suspect: str = ""
+    unjudged: tuple[str, ...] = ()
     fit: FilteredSolution | None = None
 
     @property
@@ -176,7 +179,7 @@ class Remains:
     def open_questions(self) -> tuple[str, ...]:
         """What could not be asked, in words."""
         asked = [runs for runs in (self.validation, self.training) if runs is not None]
-        found = [] if asked else ["whole runs were not asked"]
+        found = [*self.unjudged, *([] if asked else ["whole runs were not asked"])]
         # What the validation records leave open, the training records mostly do, too.
         found += next((runs.open_questions for runs in asked if runs.open_questions), ())
         if (self.random or self.sensor_time is not None) and self.follows is None:

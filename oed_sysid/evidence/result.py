@@ -284,6 +284,12 @@ class LogCheck:
         return tuple(finding for finding in self.findings if finding.suspect)
 
     @property
+    def unjudged(self) -> tuple[str, ...]:
+        """What nothing in the log tells from a fault of a sensor, in words."""
+        jumps = [f for f in self.findings if f.kind == "step" and not f.suspect]
+        return tuple(f"whether {f.signals[0]} jumped or its sensor was set" for f in jumps)
+
+    @property
     def verdict(self) -> str:
         """One sentence."""
         if self.suspect:

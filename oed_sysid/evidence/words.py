@@ -325,7 +325,8 @@ def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace
         facts = {"size": float(n), "unit": "samples"}
     if is_a(kind, "as logged"):
         correction = None
-    told = {"step": ("step", "jump"), "caught up": ("step", "caught up")}.get(kind, (kind, kind))
+    of_step = {"step": "jump", "caught up": "caught up", "moved": "moved"}
+    told = ("step", of_step[kind]) if kind in of_step else (kind, kind)
     return said(told[0], names, tuple(rows), words, row=told[1], correction=correction, **facts)
 
 
