@@ -149,10 +149,7 @@ def improve(
     searched = (0, False) if read_wrong else (max_effects, terms)
     run = Search(searched[0], tell, keep, notes, ready.whole, searched[1])
     end = run.beyond(run.known(study, base))
-    # Whole runs that got worse were allowed because forces act, which may have grown over more.
-    allowed = any(worse(one.claim.before, one.claim.after, RISE) for one in end.state.added)
-    hiding = not end.left.is_noise and (end.left.structured or allowed)
-    if disturbances == "auto" and not read_wrong and hiding:
+    if disturbances == "auto" and not read_wrong and _hiding(end):
         tell("searching without disturbance forces")
         calm = keep.once("without disturbance forces", partial(begin, disturbances="none"))
         end = run.calmer(end, *calm)
@@ -188,6 +185,15 @@ def _read_wrong(study: Study, base: FilteredSolution) -> list[str]:
     fit = study.result(study.polished(base), "improve, disturbance forces")
     names = [one.channel.name for one in input_factors(fit, study.base.values)]
     return [f"Nothing was searched for before {' and '.join(names)} is put right."] if names else []
+
+
+def _hiding(end: Ended) -> bool:
+    """Whether disturbance forces may have grown over what is missing.
+
+    They have structure, or an effect made whole runs worse, which only forces allow.
+    """
+    worsened = any(worse(one.claim.before, one.claim.after, RISE) for one in end.state.added)
+    return not end.left.is_noise and (bool(end.left.structured) or worsened)
 
 
 def _other_noise(fit: Fit) -> list[str]:
