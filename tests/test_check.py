@@ -377,6 +377,43 @@ def test_integral_is_of_fourth_order() -> None:
     assert errors[0] < 1e-3
 
 
+def afloat(names: list[str], scale: float) -> tuple[Model, Dataset]:
+    """Depth, heave velocity and altitude, which is scaled, of a float at rest and in motion."""
+    model = Model(
+        "float", states("z w"), (Input("T", "N"),),
+        (*outputs("z w"), Output("alt", "m", expression="30 - z")),
+        {"z": "w", "w": "k*T - d*w"}, parameters=(Parameter("k", 0.1), Parameter("d", 0.3)),
+    )  # fmt: skip
+    model = replace(model, outputs=tuple(o for o in model.outputs if o.name in names))
+    rng, t, runs = np.random.default_rng(0), np.arange(500) * 0.5, []
+    for moved in (0.0, 1.0, 1.3):
+        z = 15.0 + moved * (3.0 * np.sin(0.06 * t) + np.cos(0.17 * t))
+        w = moved * (0.18 * np.cos(0.06 * t) - 0.17 * np.sin(0.17 * t))
+        right = {"z": z, "w": w, "alt": scale * (30.0 - z)}
+        noise = {"z": 0.02, "w": 0.02, "alt": 0.05}
+        logged = [right[n] + noise[n] * rng.standard_normal(t.size) for n in names]
+        nothing = np.zeros((t.size, 1))
+        runs.append(Record(f"{moved}", t, nothing, np.column_stack(logged), model.channels))
+    return model, Dataset(runs)
+
+
+@pytest.mark.parametrize("names", ["z w", "z alt", "z w alt"])
+def test_noise_is_no_scale_of_the_signal_that_it_is_in(names: str) -> None:
+    """A run at rest makes no sensor wrong, nor do signals that would agree if all were nothing."""
+    model, data = afloat(names.split(), 1.0)
+    assert check(data, model, inputs=False).ok
+
+
+@pytest.mark.parametrize("names", ["z alt", "z w alt"])
+def test_a_scale_is_found_beside_a_run_at_rest(names: str) -> None:
+    """An altitude that is 5 % too large is all that is wrong; of two depths either may be."""
+    model, data = afloat(names.split(), 1.05)
+    (found,) = check(data, model, inputs=False).serious
+    assert found.kind == "scale"
+    assert abs(found.size) == pytest.approx(0.05, abs=0.003)
+    assert names == "z alt" or found.signals == ("alt",)
+
+
 @pytest.mark.parametrize("logged", [1.0, 1.1])
 def test_accelerations_that_are_held_make_no_scale(logged: float) -> None:
     """Between samples a velocity moves on straight lines; splines take 2 % of it away.

@@ -173,11 +173,14 @@ class Motion:
     def values(self) -> dict[str, np.ndarray]:
         """Signals, ``(n_times,)`` each."""
         times, values = self.trace.times, dict(self.raw)
-        for i, one in self.known.items():
+        # Signals that others are read from come after these, predicted from what these predict.
+        for i, one in sorted(self.known.items(), key=lambda known: not known[1].is_rate):
             if one.is_rate:
                 predicted = one.integral(times, self.right[i][:, None])[:, 0]
-                line = np.polyfit(self.elapsed, self.raw[one.target] - predicted, 1)
-                values[one.target] = predicted + np.polyval(line, self.elapsed)
+            else:
+                predicted = one({n: values[n] for n in one.signals}, times)
+            line = np.polyfit(self.elapsed, self.raw[one.target] - predicted, 1)
+            values[one.target] = predicted + np.polyval(line, self.elapsed)
         return values
 
     def has(self, one: Candidate) -> bool:
@@ -374,7 +377,8 @@ class Piece:
     ``used``, those in the record before those at its places; a block has ``group`` samples and
     length ``span`` in s; ``walk`` is the variance per block that the fast noise of the rates
     produces, ``level`` the deviation of the left side's, ``shares`` the part of each signal in
-    ``walk``; ``forced`` where forces are noise of the equation.
+    ``walk``; ``forced`` where forces are noise of the equation, ``is_rate`` where that is of a
+    rate.
     """
 
     relation: int
@@ -391,6 +395,7 @@ class Piece:
     level: float
     shares: Mapping[str, float]
     forced: bool
+    is_rate: bool
 
     @property
     def angle(self) -> np.ndarray:
@@ -568,6 +573,7 @@ def _pieces(
             level=factor * trace.noise[relation.target] / np.sqrt(group),
             shares={**shares, relation.target: -1.0},
             forced=bool(relation.driven),
+            is_rate=rated,
         )
 
 
@@ -674,8 +680,10 @@ def assemble(
             # Relative error of the information of each candidate, by the errors of the shares.
             slope = -(here[active] / level) @ white**2
             relative[used] += np.sum(slope * (fisher @ slope), axis=0)
-            walk = (shares[len(CORRELATIONS) :] @ here[len(CORRELATIONS) :]) / level
-            half = 0.5 * _attenuation(piece, every, float(walk.sum()), power)
+            # Noise of the right side is integrated where the left side is a rate.
+            first = len(CORRELATIONS) if piece.is_rate else 0
+            part = (shares[first:] @ here[first:]) / level
+            half = 0.5 * _attenuation(piece, every, float(part.sum()), power)
             right[used] -= half
             doubt[used] += np.abs(half) + np.abs(white.T @ (piece.sampled / np.sqrt(level)))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -756,18 +764,19 @@ def _joint_law(mine: Sequence[Piece]) -> np.ndarray:
 
 
 def _attenuation(
-    piece: Piece, faults: Sequence[Candidate], walk: float, own: np.ndarray
+    piece: Piece, faults: Sequence[Candidate], noise: float, own: np.ndarray
 ) -> np.ndarray:
     """Most that noise in the regressors of scales may have added to scores, ``(n_used,)``.
 
     The noise of a signal stands in the contrast and in its own regressor, which biases a scale by
     the ratio of noise to signal (errors in variables; Fuller 1987): between nothing and what it
-    would be if all of the walk came from that signal. Half of it is subtracted.
+    would be if all noise of the right side came from that signal, or if the signal, at rest, were
+    nothing but noise. Half of it is subtracted.
     """
     used = (faults[k] for k in piece.used)
     scaled = [one.signals[0] if one.kind == "scale" else "" for one in used]
-    most = walk * np.array([piece.shares.get(name, 0.0) for name in scaled])
-    return np.clip(most, -0.5 * own, 0.5 * own)
+    most = noise * np.array([piece.shares.get(name, 0.0) for name in scaled])
+    return np.clip(most, -own, own)
 
 
 @dataclass(frozen=True)
