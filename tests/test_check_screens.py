@@ -124,6 +124,18 @@ def test_what_follows_steps_of_the_inputs_is_an_answer(length: int | None, n_fou
         assert not length or ("y" in marked.fast) is (shift == 0)
 
 
+@pytest.mark.parametrize("late", [0, 40])
+def test_a_slow_sensor_sees_an_answer_in_its_next_samples(late: int) -> None:
+    """It jumps by its second sample after a step of an input; long after, by itself."""
+    series, pushed = wave(), np.zeros(TIMES.size, dtype=bool)
+    pushed[301:304] = True
+    series[308 + late :] += 1.0
+    series[np.arange(TIMES.size) % 5 > 0] = np.nan
+    faults, _ = screened([traced(series, pushed)])
+    assert [(fault.kind, fault.rows.tolist()) for fault in faults] == [("step", [350])] * (late > 0)
+    assert late == 0 or faults[0].amount == pytest.approx(1.0, abs=0.05)
+
+
 @pytest.mark.parametrize("signal", ["w", "q", "theta", "z"])
 def test_groups_in_a_log_are_the_only_finding(signal: str) -> None:
     """Three bursts of two to five samples of a dive: spikes, no bias, scale or delay."""

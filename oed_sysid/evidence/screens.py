@@ -131,6 +131,7 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
 
     Samples of one signal that stand out and follow steps of the inputs more often than chance would
     have it are its answers. Smaller steps are answered as fast, only less clearly: all are marked.
+    What jumps after a step of an input and stays is no fault that the signal alone could show.
     """
     shared = sum(len(trace.values) for trace in traces)
     names = dict.fromkeys(name for trace in traces for name in trace.values)
@@ -138,8 +139,8 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     kept = list[Fault]()
     for trace in traces:
         for fault in screen(trace, shared):
-            answers = fault.kind in ("spikes", "step") and fault.signal in fast
-            kept += fault.without(trace.pushed) if answers else [fault]
+            answers = fault.kind == "step" or (fault.kind == "spikes" and fault.signal in fast)
+            kept += fault.without(trace.answers(fault.signal)) if answers else [fault]
     return kept, [replace(trace, fast=fast) for trace in traces]
 
 
@@ -148,15 +149,18 @@ def _answers(traces: Sequence[Trace], name: str) -> bool:
 
     Spikes elsewhere say nothing about that.
     """
-    hits, others, share = 0, 0, np.concatenate([trace.pushed for trace in traces])
-    for trace in traces:
-        present = np.flatnonzero(np.isfinite(trace.values.get(name, np.zeros(0))))
-        size = _sizes(trace.values[name][present]) if present.size > LEAST else np.zeros(0)
-        pushed = trace.pushed[present][2:-2] if size.size else np.zeros(0, dtype=bool)
-        spiky = np.convolve(size > SPIKE, np.ones(9), mode="same") > 0.5 if size.size else pushed
+    hits, others, share = 0, 0, list[np.ndarray]()
+    for trace in (one for one in traces if name in one.values):
+        present = np.flatnonzero(np.isfinite(trace.values[name]))
+        if present.size <= LEAST:
+            continue
+        size, pushed = _sizes(trace.values[name][present]), trace.answers(name)[present][2:-2]
+        spiky = np.convolve(size > SPIKE, np.ones(9), mode="same") > 0.5
         hits += _events((size > TAIL) & pushed)
         others += _events((size > TAIL) & ~pushed & ~spiky)
-    return hits > 0 and bool(bdtrc(hits - 1, hits + others, share.mean()) < FALSE_CLAIMS)
+        share.append(pushed)
+    chance = np.mean(np.concatenate(share)) if share else 0.0
+    return hits > 0 and bool(bdtrc(hits - 1, hits + others, chance) < FALSE_CLAIMS)
 
 
 def _events(here: np.ndarray) -> int:

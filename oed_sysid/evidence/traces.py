@@ -86,6 +86,14 @@ class Trace:
         """First and last time, s."""
         return float(self.times[0]), float(self.times[-1])
 
+    def answers(self, name: str) -> np.ndarray:
+        """Where a signal may answer steps of inputs, ``(n_times,)`` of bool: its next samples."""
+        answers, present = self.pushed.copy(), np.flatnonzero(np.isfinite(self.values[name]))
+        for begin in np.flatnonzero(self.pushed & np.diff(self.pushed, prepend=False)):
+            after = present[np.searchsorted(present, begin) :][:ANSWERED]
+            answers[begin : after.max(initial=begin) + 1] = True
+        return answers
+
     def blank(self, rows: Mapping[str, np.ndarray]) -> Trace:
         """Return the trace and its noise without some samples; ``rows`` by signal."""
         values, noise = dict(self.values), dict(self.noise)
@@ -147,7 +155,7 @@ class Trace:
         for name in names:
             present = np.flatnonzero(np.isfinite(self.values[name]))
             if name in self.fast:
-                usable[self.pushed] = False
+                usable[self.answers(name)] = False
             if present.size < 2:
                 return np.zeros_like(usable)
             steps = np.diff(self.times[present])
