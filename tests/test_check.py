@@ -873,6 +873,28 @@ def test_values_far_from_their_priors_make_a_log_suspect(dives_inputs) -> None: 
     assert [(one.kind, one.signals) for one in gate.serious] == [("far", (first.name,))]
 
 
+@pytest.mark.parametrize("loud", [1.0, 3.0])
+def test_what_a_fit_finds_to_be_motion_is_no_noise(loud: float) -> None:
+    """A rate that answers a new command with every sample; its noise is as declared, or thrice."""
+    model = Model(
+        "spinner", states("r"), (Input("d", "1"),), outputs("r", r=0.01), {"r": "b*d - c*r"},
+        parameters=(Parameter("b", 7.0), Parameter("c", 9.0)), step=0.1,
+    )  # fmt: skip
+    rng, r = np.random.default_rng(0), np.zeros(400)
+    commands = rng.standard_normal(400)
+    for k in range(399):  # exact for a held command
+        r[k + 1] = commands[k] + (r[k] - commands[k]) * np.exp(-0.8)
+    seen = r + loud * 0.01 * rng.standard_normal(400)
+    data = Dataset((Record("run", 0.1 * np.arange(400), commands[:, None], seen[:, None],
+                           model.channels),))  # fmt: skip
+    log = check(data, model)
+    assert log.named("noise", "r").size > 30.0
+    fit = MultipleShooting(disturbances="none").fit(model, data)
+    (told,) = [one.size for one in fit.concerns if one.kind == "noise_level"] or [1.0]
+    assert told == pytest.approx(loud, rel=0.1)
+    assert (with_estimates(log, fit).named("noise", "r") is None) is (loud == 1.0)
+
+
 def test_a_claim_that_puts_the_log_right_answers_its_findings() -> None:
     """A scale of x reads as one of v in x' = v: undone with its estimate, nothing is left of it."""
     law, values = {"x": "v", "v": "b*u - d*v"}, {"b [m/s^2]": 0.3, "d [1/s]": 0.4}

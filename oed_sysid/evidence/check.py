@@ -60,9 +60,11 @@ from oed_sysid.evidence.result import (
 from oed_sysid.evidence.screens import Fault, jitter, marked, screened
 from oed_sysid.evidence.traces import Trace, units_of
 from oed_sysid.experiments.problem import Problem
+from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.departures import CLEAR
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.input_factors import input_factors
+from oed_sysid.likelihood.judgement import concerns_of
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.likelihood.whole_runs import whole_runs
 from oed_sysid.physics import Effect
@@ -284,10 +286,14 @@ def with_estimates(
     LogCheck
         Suspect as well where values are many prior deviations away (``far``) or an input acts
         otherwise than the start values say (``input_factor``); with parameters that are others in
-        single records (``run``).
+        single records (``run``), and without noise that the fit finds to be motion.
     """
-    begun = nominal or fit.nominal
-    findings = _left(log, fit, records or fit.dataset, claimed, begun)
+    begun, noisy = nominal or fit.nominal, _noisier(fit)
+    findings = [
+        one
+        for one in _left(log, fit, records or fit.dataset, claimed, begun)
+        if one.kind != "noise" or noisy.issuperset(one.signals)
+    ]
     for one in input_factors(fit, begun):
         row = {"says": one.text, "name": one.channel.name}
         findings.append(words.said("input_factor", (one.channel.name,), log.records, row))
@@ -356,6 +362,15 @@ def _sensed(model: Model | None) -> frozenset[str]:
     """Signals on which sensors have an effect."""
     effects = () if model is None else model.effects
     return frozenset(str(key) for e in effects if e.stage == "sensor" for key in e.terms)
+
+
+def _noisier(fit: Fit) -> set[str]:
+    """Outputs of which a fit finds more noise than declared; all where it failed."""
+    if not fit.status.ok:
+        return {*fit.model.output_names}
+    told = {one.signal for one in concerns_of(fit, "noise_level") if one.size > 1.0}
+    level = zip(fit.model.outputs, fit.noise.sensors, strict=True)
+    return told | {o.name for o, std in level if std > WORTH_TELLING * (o.noise_std or np.inf)}
 
 
 def _far(fit: Fit, records: tuple[str, ...]) -> list[Finding]:
