@@ -129,7 +129,7 @@ class Located:
                 "what is left as well as a disturbance at any one place would."
             )
         words = {p.name: WORDS[p.stage].format(signal=p.signal) for p in self.places}
-        text = f"Something is missing {words[self.best]}"
+        text = f"What the sensors alone do not explain enters most likely {words[self.best]}"
         for name in self.group:
             text += f", or as likely {words[name]}" * (name != self.best)
         later = next((name for name in self.gains if name not in self.group), None)
