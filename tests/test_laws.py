@@ -47,20 +47,25 @@ def test_the_statistic_of_a_true_disturbance_is_chi_squared(
     assert 0.6 < away.std() < 1.4
 
 
-def adrift(seed: int) -> Dataset:
-    """Two records of three speeds under forces that last a while, and of what they add up to."""
+def adrift(
+    seed: int, law: Callable[[float, float], float] = lambda command, into: 0.0, runs_of: str = "ab"
+) -> Dataset:
+    """Two records of three speeds under forces that last a while, and of what they add up to.
+
+    The first force is also a law of the command and of the part of the run.
+    """
     rng, runs = np.random.default_rng(seed), []
     damping, step, n = np.array([0.14, 0.13, 0.1]), 0.4, 300
     memory = np.exp(-step / TIME)
     decay = np.exp(-damping * step)
     reach = (1.0 - decay) / damping  # of a force that is held for a step
-    for name in "ab":
+    for name in runs_of:
         speed, place, force = np.zeros((3, 3))
         force = LEVEL * rng.standard_normal(3)
         command, rows = np.repeat(rng.uniform(-1.0, 1.0, 10), n // 10), []
-        for one in command:
+        for k, one in enumerate(command):
             rows.append([*speed, *place])
-            pushed = 0.1 * one + force
+            pushed = 0.1 * one + force + law(one, k / n) * np.array([1.0, 0.0, 0.0])
             place = place + speed * reach + pushed * (step - reach) / damping
             speed = speed * decay + pushed * reach
             force = memory * force + np.sqrt(1.0 - memory**2) * LEVEL * rng.standard_normal(3)
@@ -80,15 +85,15 @@ ADRIFT = Model(
     },
     parameters=tuple(Parameter(f"b{i}", 0.1, "m/s^2") for i in range(3)),
 )
+DRIFTS = tuple(f"force v{i}" for i in range(3))
 
 
 def test_motion_that_wanders_makes_no_law(monkeypatch: pytest.MonkeyPatch) -> None:
     """Positions without springs make the statistic a third too large; what is drawn tells that."""
     monkeypatch.setattr(laws_module, "RARE", 3.0)  # one for each of three places
     monkeypatch.setattr(laws_module, "DRAWS", 4)
-    places = tuple(f"force v{i}" for i in range(3))
     noise = NoiseModel(
-        np.full(6, NOISE), np.zeros(6), np.full(3, LEVEL), TIME, TIME, ADRIFT.output_names, places
+        np.full(6, NOISE), np.zeros(6), np.full(3, LEVEL), TIME, TIME, ADRIFT.output_names, DRIFTS
     )
     away: dict[str, list[float]] = {"plain": [], "corrected": []}
     for way, usual in (("plain", lambda *_: {}), ("corrected", laws_module._End.usual)):
@@ -101,6 +106,35 @@ def test_motion_that_wanders_makes_no_law(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(away["plain"]) == 24
     assert abs(np.mean(away["corrected"])) < 4 / np.sqrt(24)
     assert np.mean(away["plain"]) > 4 / np.sqrt(24)
+
+
+@pytest.mark.parametrize(
+    ("law", "signal"),
+    [
+        (lambda command, into: 0.045 * (abs(command) - 0.5), "u"),
+        (lambda command, into: 0.04 * (into >= 0.5), f"{IN_THE_RUN}, a step at 59.8 s"),
+    ],
+)
+def test_a_law_of_one_signal_is_not_lost_among_many(
+    law: Callable[[float, float], float], signal: str
+) -> None:
+    """A kink of the command and a jump at half time, among some hundred functions."""
+    noise = NoiseModel(
+        np.full(6, NOISE), np.zeros(6), np.full(3, LEVEL), TIME, TIME, ADRIFT.output_names, DRIFTS
+    )
+
+    def told(data: Dataset) -> tuple[Law, ...]:
+        problem = Filtered(ADRIFT, data, Levels.of(noise, noise).held())
+        return laws(problem, problem.point([np.zeros(6)] * len(data)).unknowns) or ()
+
+    (found,) = told(adrift(1, law))
+    assert (found.place, found.signals) == ("force v0", (signal,))
+    assert found.statistic > 1.5 * found.needed
+    assert found.freedom < 15
+    # In a single record a jump is an innovation of the force like others.
+    single = told(adrift(1, law, "a"))
+    assert not any(IN_THE_RUN in name for one in single for name in one.signals)
+    assert not told(adrift(1))
 
 
 @pytest.mark.parametrize("answer", [0.0, 0.3])

@@ -15,7 +15,10 @@ everything that was estimated,
     s = -G'e + G'K (K'K)^{+} K'e, \qquad M = G'G - G'K (K'K)^{+} K'G, \qquad T = s' M^{+} s
 
 is what the best such law would gain in twice the log-likelihood (Rao 1948; White 1982 for the mean
-square of :math:`e` by which it is divided where it exceeds one). An innovation knows nothing of
+square of :math:`e` by which it is divided where it exceeds one). Of all signals together it has
+many freedoms, among which a law of one of them is lost: each is asked alone, too, with knots twice
+as close, and so is, where there are several records, a step at the same time of each. An innovation
+knows nothing of
 what was measured or commanded before it, so that :math:`T` is a chi-squared variable where no law
 is missing: also where a helmsman, an autopilot or the rule of a zigzag answers the disturbance,
 which runs without measurements do not bear. Where waves are faster than two samples of what they
@@ -35,6 +38,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -60,14 +64,17 @@ from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
 from oed_sysid.text import expressions
 
-# Knots of a piecewise linear function, and lags of first order, of every signal.
+# Knots of a piecewise linear function, and lags of first order, of every signal; knots of one that
+# is asked alone, and parts of a run between which a force may step.
 KNOTS, LAGS = 5, 3
+FINER, PARTS = 2 * KNOTS - 1, 32
 # What two signals leave of the statistic, over what one of them leaves, to be named both.
 SECOND_LEAVES = 0.7
 # Records drawn to see how large a statistic is by chance, at least and at most: until it is clear.
 FEWEST_DRAWS, DRAWS = 5, 20
 # How time since the start of a record is called among the signals.
 IN_THE_RUN = "the time in the run"
+STEP = f"{IN_THE_RUN}, a step at "
 # How the slow noise of a sensor is called in the place of a force.
 SLOW = "noise of "
 
@@ -83,11 +90,13 @@ class Law:
     signals : tuple of str
         One or two signals that tell most of it.
     statistic : float
-        What a law of all signals would gain in twice the log-likelihood.
+        What a law of all signals, or where that is not clear of one, would gain in twice the
+        log-likelihood.
     freedom : int
         Functions of which that law is made.
     needed : float
-        Statistic that chance exceeds in one of a thousand fits, all places together.
+        Statistic that chance exceeds in one of a thousand fits, all places together; of one signal
+        all signals together.
     """
 
     place: str
@@ -246,14 +255,18 @@ def laws(problem: Filtered, unknowns: np.ndarray) -> tuple[Law, ...] | None:
     except SimulationError:
         return None
     end = _End(Scored(problem, unknowns, passes), paths)
-    asked, owners = end.asked()
-    if not owners.size:
+    if (asked := end.asked()) is None:
         return None
-    each = (replace(one, chance=RARE / len(asked)) for one in asked)
-    if standing := [one for one in each if one.stands]:
+    if standing := [one for one in asked if one.stands]:
         usual = end.usual(standing)
-        standing = [replace(one, usual=usual.get(one.place, 1.0)) for one in standing]
-    return tuple(one.law(owners) for one in standing if one.stands)
+        standing = [replace(one, usual=usual.get(one.key, 1.0)) for one in standing]
+    # Of each place the law of all signals, else that of the one farthest beyond chance.
+    standing = [one for one in standing if one.stands]
+    standing.sort(key=lambda one: (one.signal != "", one.needed - one.statistic()))
+    found = dict[str, Law]()
+    for one in standing:
+        found.setdefault(one.place, one.law())
+    return tuple(found.values())
 
 
 def unresolved(model: Model, records: Iterable[Record], noise: NoiseModel) -> str:
@@ -293,26 +306,31 @@ class _End:
     point: Scored
     paths: Sequence[Path]
 
-    def asked(self, places: Container[str] | None = None) -> tuple[list[_Asked], np.ndarray]:
-        """Places that act, all or some, and whose each function is; none where nothing moves."""
-        features, owners = _features(self.point.problem, self.point.passes)
-        if not owners.size:
-            return [], owners
-        return [
-            self._one(place, responses, len(owners))
+    def asked(self, places: Container[str] | None = None) -> list[_Asked] | None:
+        """What is asked of all or some places that act: a law of all signals, and of each alone.
+
+        None where nothing moves.
+        """
+        features, owners, alone = _features(self.point.problem, self.point.passes)
+        if len(owners) == 1:
+            return None
+        found = [
+            self._one(place, responses, owners, alone)
             for place, responses in self._responses(features)
             if places is None or place in places
-        ], owners
+        ]
+        return [part for one in found for part in one.parts(RARE / len(found))]
 
-    def usual(self, standing: Sequence[_Asked]) -> dict[str, float]:
-        """Mean statistic over its freedom by chance, of every place that stands; one at least."""
-        rng, found = np.random.default_rng(0), {one.place: list[float]() for one in standing}
+    def usual(self, standing: Sequence[_Asked]) -> dict[tuple[str, ...], float]:
+        """Mean statistic over its freedom by chance, of all that stands; one at least."""
+        rng, found = np.random.default_rng(0), {one.key: list[float]() for one in standing}
         for count in range(1, DRAWS + 1):
-            for one in self._drawn(rng, found):
-                found[one.place].append(one.statistic() / one.freedom)
-            if count >= FEWEST_DRAWS and all(one.clear(found[one.place]) for one in standing):
+            for one in self._drawn(rng, {one.place for one in standing}):
+                if one.key in found:
+                    found[one.key].append(one.statistic() / one.freedom)
+            if count >= FEWEST_DRAWS and all(one.clear(found[one.key]) for one in standing):
                 break
-        return {place: max(float(np.mean(few)), 1.0) for place, few in found.items() if few}
+        return {key: max(float(np.mean(few)), 1.0) for key, few in found.items() if few}
 
     def _drawn(self, rng: np.random.Generator, places: Container[str]) -> list[_Asked]:
         """Some places, where drawn records tell something of them; none where one is lost."""
@@ -320,7 +338,7 @@ class _End:
         if not all(np.isfinite(part.path).all() for part in drawn):
             return []
         there = replace(self, point=replace(self.point, passes=drawn))
-        return [one for one in there.asked(places)[0] if one.freedom]
+        return [one for one in there.asked(places) or () if one.freedom]
 
     def _responses(
         self, features: Sequence[np.ndarray]
@@ -344,10 +362,16 @@ class _End:
             )
             yield f"{SLOW}{noise.outputs[column]}", found
 
-    def _one(self, place: str, responses: Iterable[np.ndarray], count: int) -> _Asked:
+    def _one(
+        self,
+        place: str,
+        responses: Iterable[np.ndarray],
+        owners: np.ndarray,
+        alone: np.ndarray,
+    ) -> _Asked:
         """Ask one place; ``responses`` are the whitened innovations by each function."""
-        left, score, own = self.point.score(responses, count)
-        return _Asked(place, score, left, np.sqrt(own))
+        left, score, own = self.point.score(responses, len(owners))
+        return _Asked(place, score, left, np.sqrt(own), owners, alone)
 
 
 def _drawn(problem: Filtered, part: FilterPass, rng: np.random.Generator) -> FilterPass:
@@ -376,32 +400,63 @@ def _drawn(problem: Filtered, part: FilterPass, rng: np.random.Generator) -> Fil
 class _Asked:
     """Score and information of functions at one place, everything estimated projected out.
 
-    ``size`` are the roots of the information before, ``usual`` is what chance makes of the
-    statistic over its freedom, ``chance`` how often it may exceed what is needed.
+    ``size`` are the roots of the information before, ``owners`` the signals of the functions,
+    ``alone`` whether these are of a law of one signal only, ``signal`` the one that is asked,
+    ``usual`` is what chance makes of the statistic over its freedom, ``chance`` how often it may
+    exceed what is needed.
     """
 
     place: str
     score: np.ndarray
     matrix: np.ndarray
     size: np.ndarray
+    owners: np.ndarray
+    alone: np.ndarray
+    signal: str = ""
     usual: float = 1.0
     chance: float = RARE
 
-    def statistic(self, chosen: np.ndarray | slice = slice(None)) -> float:
-        """What the best of some functions would gain in twice the log-likelihood."""
-        return float(np.sum((self._onto(chosen).T @ self.score[chosen]) ** 2)) / self.usual
+    @property
+    def key(self) -> tuple[str, ...]:
+        """What tells it from all others."""
+        return self.place, self.signal
 
-    def _onto(self, chosen: np.ndarray | slice) -> np.ndarray:
+    @property
+    def signals(self) -> list[str]:
+        """Those of the functions."""
+        return list(dict.fromkeys(self.owners[self.owners != ""].tolist()))
+
+    def parts(self, chance: float) -> Iterator[_Asked]:
+        """A law of all signals together, then one of each."""
+        yield replace(self._where(~self.alone), chance=chance)
+        rare = chance / len(self.signals)
+        yield from (replace(self._of(n), signal=n, chance=rare) for n in self.signals)
+
+    def _of(self, *signals: str) -> _Asked:
+        """The same of some signals, and a constant."""
+        return self._where(np.isin(self.owners, ("", *signals)))
+
+    def _where(self, chosen: np.ndarray) -> _Asked:
+        names = ("score", "size", "owners", "alone")
+        vectors = {name: getattr(self, name)[chosen] for name in names}
+        return replace(self, matrix=self.matrix[np.ix_(chosen, chosen)], **vectors)
+
+    def statistic(self) -> float:
+        """What the best of its functions would gain in twice the log-likelihood."""
+        return float(np.sum((self._onto.T @ self.score) ** 2)) / self.usual
+
+    @cached_property
+    def _onto(self) -> np.ndarray:
         """Coordinates of unit information, of what is not estimated already."""
-        size = np.where(self.size[chosen] > 0, self.size[chosen], 1.0)
-        values, vectors = np.linalg.eigh(self.matrix[chosen][:, chosen] / size[:, None] / size)
+        size = np.where(self.size > 0, self.size, 1.0)
+        values, vectors = np.linalg.eigh(self.matrix / size[:, None] / size)
         told = values > ABSORBED**2
         return np.asarray(vectors[:, told] / size[:, None] / np.sqrt(values[told]))
 
     @property
     def freedom(self) -> int:
         """Number of functions of which anything is told."""
-        return self._onto(slice(None)).shape[1]
+        return self._onto.shape[1]
 
     @property
     def stands(self) -> bool:
@@ -418,16 +473,14 @@ class _Asked:
         error = np.std(ratios) / np.sqrt(len(ratios)) if ratios else np.inf
         return bool(abs(self.statistic() / self.needed - np.mean(ratios)) > 3.0 * error)
 
-    def law(self, owners: np.ndarray) -> Law:
+    def law(self) -> Law:
         """The law, by the signal or the two that tell most of it."""
-        names = list(dict.fromkeys(owners[owners != ""].tolist()))
 
-        def best(sets: Sequence[tuple[str, ...]]) -> tuple[float, tuple[str, ...]]:
-            found = ((self.statistic(np.isin(owners, ("", *one))), one) for one in sets)
-            return max(found, default=(0.0, ()))
+        def best(count: int) -> tuple[float, tuple[str, ...]]:
+            sets = combinations(self.signals, count)
+            return max(((self._of(*one).statistic(), one) for one in sets), default=(0.0, ()))
 
-        whole = self.statistic()
-        alone, pair = best([(name,) for name in names]), best([*combinations(names, 2)])
+        whole, alone, pair = self.statistic(), best(1), best(2)
         # Two signals only where they leave clearly less than the better of them.
         both = whole - pair[0] < SECOND_LEAVES * (whole - alone[0])
         return Law(self.place, (pair if both else alone)[1], whole, self.freedom, self.needed)
@@ -460,37 +513,52 @@ def _of_colour(
 
 def _features(
     problem: Filtered, passes: Sequence[FilterPass]
-) -> tuple[list[np.ndarray], np.ndarray]:
-    """Functions of every signal, and a constant, ``(n_times, n_functions)``; whose each is."""
+) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+    """Functions of every signal, and a constant, ``(n_times, n_functions)``.
+
+    Whose each is, and whether it is of a law of that signal alone. Each step in the run is a signal
+    of its own: one jump of a force in one record is no law.
+    """
     signals = [
         _signals(problem, record, part.path)
         for record, part in zip(problem.records, passes, strict=True)
     ]
     longest = max(record.duration for record in problem.records)
-    into = [
-        _hats((record.times - record.times[0]) / longest, np.linspace(0.0, 1.0, KNOTS))
-        for record in problem.records
-    ]
+    into = [(record.times - record.times[0]) / longest for record in problem.records]
+    times = [_hats(own, np.linspace(0.0, 1.0, KNOTS)) for own in into]
     found = [[np.ones((len(own), 1))] for own in into]
-    owners = [""]
+    owners, alone = [""], [False]
+
+    def owned(owner: str, count: int, *, apart: bool = False) -> None:
+        owners.extend([owner] * count)
+        alone.extend([apart] * count)
+
     for name in signals[0]:
         columns = [own[name] for own in signals]
         pooled = np.concatenate(columns)
-        knots = np.unique(np.quantile(pooled, np.linspace(0, 1, KNOTS)))
+        knots, finer = (
+            np.unique(np.quantile(pooled, np.linspace(0, 1, count))) for count in (KNOTS, FINER)
+        )
         if len(knots) < 2:
             continue
+        between = ~np.isin(finer, knots)[1:]
         fades = name in problem.model.input_names
         # All hats but one: they add up to the constant.
-        for own, record, column, time in zip(found, problem.records, columns, into, strict=True):
+        for own, record, column, time in zip(found, problem.records, columns, times, strict=True):
             scaled = column / np.std(pooled)
             own += [_hats(column, knots), _lagged(record.times, scaled)]
-            own += [time * scaled[:, None]] * fades
-        owners += [name] * (len(knots) - 1 + LAGS) + [IN_THE_RUN] * ((KNOTS - 1) * fades)
+            own += [_hats(column, finer)[:, between], time * scaled[:, None]][: 1 + fades]
+        owned(name, len(knots) - 1 + LAGS)
+        owned(name, int(between.sum()), apart=True)
+        owned(IN_THE_RUN, (KNOTS - 1) * fades)
     if len(owners) > 1:
-        owners += [IN_THE_RUN] * (KNOTS - 1)
-        for own, time in zip(found, into, strict=True):
-            own.append(time)
-    return [np.hstack(own) for own in found], np.array(owners if len(owners) > 1 else [], dtype=str)
+        steps = np.arange(1, PARTS) / PARTS if len(into) > 1 else np.zeros(0)
+        for own, time, part in zip(found, times, into, strict=True):
+            own += [time, (part[:, None] >= steps).astype(float)]
+        owned(IN_THE_RUN, KNOTS - 1)
+        for step in steps:
+            owned(f"{STEP}{step * longest:.3g} s", 1, apart=True)
+    return [np.hstack(own) for own in found], np.array(owners), np.array(alone)
 
 
 def _hats(series: np.ndarray, knots: np.ndarray) -> np.ndarray:
