@@ -130,6 +130,13 @@ def test_a_sea_is_reported_and_survives_a_file(at_sea: Fit, tmp_path: Path) -> N
     assert Sea.from_dict(plain) == sea
 
 
+def test_whole_runs_of_another_day_are_judged_in_its_own_sea(at_sea: Fit) -> None:
+    """Waves twice as high, which those of the records of the fit would not have left."""
+    other = at_sea.runs_on(records("waves", 7, 2.0 * LEVEL))
+    assert np.abs(other.each("z")).max() < 3.0
+    assert not other.objections
+
+
 def test_a_later_fit_goes_on_with_the_sea(at_sea: Fit) -> None:
     """From an earlier fit the same values, and its sea, in fewer iterations."""
     again = MultipleShooting().fit(SHIP, at_sea.dataset, warm=at_sea)

@@ -232,6 +232,15 @@ def loss_without(fit: Estimate, place: str) -> float:
     return end.objective - problem.objective(unknowns)
 
 
+def with_sea_of_its_records(fit: Estimate) -> NoiseModel:
+    """Noise of a fit, seas as its records tell them beside the shared parameters that it has."""
+    problem, unknowns = posed_again(fit, levels=True)
+    shared = np.arange(len(problem.layout.shared))
+    held = problem.holding(shared, unknowns[shared])
+    found = solve_filtered(held, held.beside(unknowns), polish=0).finite
+    return fit.noise if found is None else replace(fit.noise, seas=found.noise.seas)
+
+
 def laws(problem: Filtered, unknowns: np.ndarray) -> tuple[Law, ...] | None:
     """Disturbances of a problem that follow motion and commands, one entry each.
 

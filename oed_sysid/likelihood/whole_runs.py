@@ -35,7 +35,7 @@ at their *declared* level, and the statistic, a chi-square that may be autocorre
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -48,7 +48,7 @@ from oed_sysid.likelihood.between_records import CHANCE, WORTH_TELLING
 from oed_sysid.likelihood.disturbances import chosen_places, with_disturbance_inputs
 from oed_sysid.likelihood.estimate import Estimate, by_name
 from oed_sysid.likelihood.gauss_newton import solve
-from oed_sysid.likelihood.laws import Law
+from oed_sysid.likelihood.laws import Law, with_sea_of_its_records
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
     given_levels,
@@ -488,7 +488,8 @@ def judged_runs(fit: Estimate, other: Dataset | None = None, *, unasked: str = "
     fit : Estimate
     other : Dataset, optional
         Records that the fit has not seen, in place of its own: parameters then scatter by their
-        covariance, and only starts are estimated anew.
+        covariance, and only starts and the sea, which is another one on another day, are estimated
+        anew.
     unasked : str
         Why draws would say nothing (waves that the noise model does not hold); errors are told
         all the same.
@@ -497,7 +498,12 @@ def judged_runs(fit: Estimate, other: Dataset | None = None, *, unasked: str = "
     granted = _granted(dataset, declared, fit.noise.sensors)
     starts = _starts(fit) if other is None else None
     own = runs = whole_runs(fit.model, dataset, granted[0], starts)
-    if other is None and not fit.noise.is_white:
+    if other is not None and fit.noise.seas:
+        begun = tuple(run.shooting.initial_state(run.unknowns, 0) for run in own)
+        sizes = tuple(run.local for run in own)
+        there = replace(fit, dataset=dataset, initial_states=begun, local_values=sizes)
+        fit = replace(fit, noise=with_sea_of_its_records(there))
+    elif other is None and not fit.noise.is_white:
         runs = without_process_noise(fit, granted[0], own) or own
     without, z, usual = rms(runs), np.full(len(declared), np.nan), np.inf
     if dataset.only_tests:
