@@ -107,8 +107,8 @@ def test_forces_are_not_left_out_for_nothing(
     monkeypatch.setattr(Search, "ended", lambda *given: (state, ranking, None))
     left = Remains(500.0, None, follows=(Law("force v", ("v",), 90.0, 40, 80.0),))
     end = Ended(Standing(study, (), base, (base,)), ranking, None, left)
-    search = Search(1, lambda text: None, Journal(), [], None, terms=False)
-    found = search.calmer(end, calm, fit).state
+    looking = Search(1, lambda text: None, Journal(), [], None, terms=False)
+    found = looking.calmer(end, calm, fit).state
     assert not found.added
     assert found.fit.objective < pushed.objective - 200.0
     assert found.fit.noise.level("force v")[0] == base.noise.level("force v")[0]
@@ -158,6 +158,25 @@ def test_a_swell_is_found_that_the_noise_of_a_sensor_had_taken() -> None:
     plain = MultipleShooting().fit(ROLLING, data)
     posed = study.polished(found.fit)
     assert study.result(posed, "").log_likelihood > plain.log_likelihood - 1.0
+
+
+def test_a_sea_is_asked_again_beside_a_term(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For want of the term its forces may have followed motion; the nominal fit stays the first."""
+    study, base = Study.begin(ROLLING, rolls(1, 0.003), None, (), known_noise=False)
+    unit = dict(zip(study.unit.places, study.unit.force, strict=True))
+    small = np.minimum(base.noise.force, [unit.get(place, 0.0) for place in base.noise.places])
+    noise = replace(base.noise, force=small)
+    calm = study.estimate((), base.values, base, noise=noise, update_noise=False)
+    assert calm is not None
+    state = Standing(study, (), base, (calm,))
+    monkeypatch.setattr(search_module, "with_term", lambda *given: (state, "the term", ()))
+    end = Ended(state, rank(study, base, ()), None, Remains(500.0, None))
+    looking = Search(1, lambda text: None, Journal(), [], None, terms=True)
+    found = looking.beyond(end).state
+    (sea,) = found.fit.noise.seas
+    assert sea.period == pytest.approx(8.9, abs=0.3)
+    assert sea.level[0] == pytest.approx(0.003, rel=0.15)
+    assert found.path == (calm, found.fit)
 
 
 @pytest.fixture(scope="module")

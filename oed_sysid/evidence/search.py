@@ -170,6 +170,9 @@ class Search:
         if found is None:
             return end
         wider, proposals, tied = found
+        if proposals is not None:
+            # Its forces may have followed motion, as no sea does, for want of the term.
+            wider = self.stage("a sea beside the term", partial(with_waves, wider, None)) or wider
         left = end.left if proposals is None else self._left(wider)
         return replace(end, state=wider, left=replace(left, tied=tied), proposals=proposals)
 
@@ -316,7 +319,7 @@ def with_waves(state: Standing, rival: Claim | None) -> Standing:
         return state  # asked again beside what explains more
     # A force that follows motion or commands is physics, whatever its period.
     if taken := decided.stands and not followed(found):
-        state = replace(state, fit=found, path=(*state.path[:-1], found))
+        state = replace(state, fit=found, path=(*(p for p in state.path if p is not fit), found))
     else:
         decided = decided.passed_over("but its forces follow motion or commands")
     earlier = (
