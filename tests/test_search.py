@@ -28,6 +28,7 @@ from oed_sysid.evidence.search import (
     Standing,
     eliminated,
     not_astray,
+    with_alike,
     with_refit,
     with_waves,
 )
@@ -87,6 +88,30 @@ def test_an_effect_is_estimated_anew_from_nominal_values() -> None:
     found = not_astray(study, astray)
     assert found.values["E_rudder_lag"] == pytest.approx(1.5, abs=0.1)
     assert found.objective < astray.objective - 90.0
+
+
+def test_what_does_as_well_beside_the_model_that_was_made_is_in_its_group() -> None:
+    """Of two that were behind an offset of the rudder one does nearly the same, a push does not."""
+
+    def force(name: str, **by: float) -> Force:
+        size = Parameter(f"E_{name}", 0.0, "1", scale=0.05)
+        return Force(name, {axis: f"{one}*E_{name}" for axis, one in by.items()}, (size,))
+
+    offset, near = force("offset", v=0.25, r=-0.022), force("near", v=0.23, r=-0.023)
+    push = force("push", v=0.25)
+    (run,) = turns(0, 0.05)
+    data = Dataset((replace(run, inputs=run.inputs - 0.02),))
+    study, base = Study.begin(SHIP, data, None, (offset, near, push), known_noise=False)
+    fit = study.estimate((offset,), base.values, base, noise=study.quiet(base.noise))
+    assert fit is not None
+    assert fit.values["E_offset"] == pytest.approx(0.02, abs=0.005)
+    behind = tuple(
+        Claim(one.name, 40.0, np.nan, 10.0, behind="behind offset") for one in (near, push)
+    )
+    added = Added(offset, Claim("offset", 50.0, np.nan, 10.0), ("offset",))
+    state = Standing(study, (added,), fit, (base, fit), behind)
+    (found,) = with_alike(state, rank(study, fit, state.left, n_refits=0)).added
+    assert found.group == ("offset", "near")
 
 
 @pytest.mark.parametrize(("seed", "better"), [(3, 1.1), (4, 2.0)])

@@ -23,7 +23,7 @@ from oed_sysid.evidence.propose import Proposals, propose
 from oed_sysid.evidence.rank import Ranking, Refit, hopeful, pairs, rank
 from oed_sysid.evidence.remainder import Remains, followed, remains
 from oed_sysid.evidence.score import imitated_by
-from oed_sysid.evidence.study import Study, likelier
+from oed_sysid.evidence.study import Study, likelier, usual
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.gauss_newton import NEAR, FilteredSolution
@@ -31,6 +31,7 @@ from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.random_forces import periods, with_sea
 from oed_sysid.physics import Effect
 from oed_sysid.physics.table import POLYNOMIAL
+from oed_sysid.physics.variants import BY_RECORD
 from oed_sysid.runtime.journal import Journal
 
 Done = TypeVar("Done")
@@ -278,27 +279,42 @@ class Search:
 
 
 def with_alike(state: Standing, ranking: Ranking) -> Standing:
-    """The last effect's group with what it imitates beside the model that it made."""
-    imitated = set(ranking.imitated())
-    absorbed = [effect for effect in state.left if effect.name in imitated]
-    if not state.added or not absorbed:
+    """The last effect's group with all that does as well in its place, beside the model it made.
+
+    That is what free parameters imitate there, and what passed behind it: beside another noise
+    model the two may have been told apart.
+    """
+    if not state.added:
         return state
     *others, last = state.added
-    alike = imitated_by(state.study, state.fit, last.effect, absorbed)
-    rivals = [one.name for one in absorbed if one.name in alike and _replaces(state, last, one)]
-    group = tuple(dict.fromkeys((*last.group, *rivals)))
-    return replace(state, added=(*others, replace(last, group=group)))
+    imitated, why = set(ranking.imitated()), f"behind {last.claim.name}"
+    absorbed = [effect for effect in state.left if effect.name in imitated]
+    alike = imitated_by(state.study, state.fit, last.effect, absorbed) if absorbed else ()
+    near = (one for one in state.decisions if TWOFOLD * one.excess > last.claim.excess)
+    behind = {one.name for one in near if one.behind == why}
+    known = {*last.group, f"{last.effect.name}{BY_RECORD}"}
+    asked = [one for one in state.left if one.name in {*alike, *behind} - known]
+    rivals = [one.name for one in asked if _replaces(state, last, one)]
+    return replace(state, added=(*others, replace(last, group=(*last.group, *rivals))))
 
 
 def _replaces(state: Standing, last: Added, rival: Effect) -> bool:
-    """Whether the training records are as likely with a rival in the place of what was added last.
+    """Whether all records are as likely with a rival in the place of what was added last.
 
     Near the fit a small change of one is like that of the other and of what is free; that of the
     whole effect need not be.
     """
+    study, fit = state.study, state.fit
     effects = (*(one.effect for one in state.others(last)), rival.widened())
-    found = state.study.estimate(effects, state.fit.values, state.fit)
-    return found is not None and found.objective - state.fit.objective < GROUP_WIDTH
+    begins = (fit.values, dict(fit.values) | usual([rival]))
+    found = likelier(*(study.estimate(effects, values, fit) for values in begins))
+    if found is None:
+        return False
+    worse = found.objective - fit.objective
+    if study.validation is not None:
+        worse += study.predict(found, study.validation).value
+        worse -= study.predict(fit, study.validation).value
+    return bool(worse < GROUP_WIDTH)
 
 
 def with_waves(state: Standing, rival: Claim | None) -> Standing:
