@@ -552,6 +552,25 @@ def test_a_group_is_not_believed_to_be_its_first_member() -> None:
     assert "standard errors of the parameters: whether more is missing is not known" in text
 
 
+@pytest.mark.parametrize(("quadratic", "said"), [(-0.35, True), (0.35, False)])
+def test_two_effects_against_each_other_may_stand_for_another_law(
+    quadratic: float, said: bool
+) -> None:
+    """Dry friction and a quadratic drag that drives: damping by the root of the rate, say."""
+    sizes = {"dry": 0.02, "quad": quadratic}
+    terms = {"dry": "-E_dry*tanh(r/0.015)", "quad": "-E_quad*r*abs(r)"}
+    steps, rows = [], []
+    for name, size in sizes.items():
+        effect = Force(name, {"r": terms[name]}, (Parameter(f"E_{name}", 0.0, "1", scale=1.0),))
+        own = {"added": name, "group": (name,), "effect": effect}
+        steps.append(SimpleNamespace(**{**vars(step("drag")), **own}))
+        rows.append({"name": f"E_{name}", "value": size, "std_error": 0.001, "unit": "1"})
+    lines = advice(steps, RANKING, rows)
+    told = [line for line in lines if "may stand for another law of r" in line]
+    assert len(told) == (2 if said else 0)
+    assert any("E_quad = 0.3500 ± 0.0020 (95 %)" in line for line in lines) is not said
+
+
 def test_an_untested_claim_is_not_believed() -> None:
     """Without validation records the claim waits for one."""
     text = "\n".join(advice([step("drag", test_gain=np.nan)], RANKING, ESTIMATES))

@@ -22,12 +22,13 @@ from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
 from oed_sysid.likelihood.noise_levels import signal_spread
 from oed_sysid.physics import Effect
-from oed_sysid.physics.base import SPAN
+from oed_sysid.physics.base import SPAN, Force
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.words import in_words
 from oed_sysid.runtime import display
+from oed_sysid.text.expressions import names, to_numpy
 from oed_sysid.text.units import shown_unit
 
 # Root mean square errors of every output, ``(n_outputs,)``, on ``train`` and ``test`` records.
@@ -569,7 +570,8 @@ def advice(result: Improvement) -> list[str]:
     believe, doubt, sea = list[str](), list[str](), list[str]()
     before, kind = result.base_error["test"], result.remains.kind
     for step in result.steps:
-        found, doubts = _judged(step, estimates, before, kind)
+        other = _other_law(step, result.steps, estimates)
+        found, doubts = _judged(step, estimates, before, kind, other)
         believe += found
         doubt += doubts
         sea += _manoeuvre(step.group, known, bool(result.base.inputs))
@@ -594,8 +596,38 @@ def _errors_that_do_not_hold(kind: str) -> list[str]:
     return [f"standard errors of the parameters: {why}."]
 
 
+def _other_law(step: Any, steps: Sequence[Any], estimates: Mapping[str, Mapping[str, Any]]) -> str:
+    """The law that an effect may stand for together with one that acts against it, in words.
+
+    Two forces that are functions of one signal in one equation are one law of it; where one undoes
+    part of the other, neither is that law.
+    """
+    found = _law(step.effect, estimates)
+    for other in steps if found else ():
+        rival = _law(other.effect, estimates)
+        if found and rival and found[0] == rival[0] and found[1] * rival[1] < 0.0:
+            return f"another law of {found[0][1]}, as {other.added} acts against it"
+    return ""
+
+
+def _law(
+    effect: Effect, estimates: Mapping[str, Mapping[str, Any]]
+) -> tuple[tuple[str, str], float] | None:
+    """Equation and signal of a force that is a function of one, and its value at one unit of it."""
+    own = {p.name: estimates.get(p.name, {}).get("value", p.value) for p in effect.parameters}
+    terms = list(effect.terms.items()) if isinstance(effect, Force) else []
+    if len(terms) != 1 or len(signals := names(terms[0][1]) - own.keys()) != 1:
+        return None
+    ((axis, text),), (signal,) = terms, signals
+    return (str(axis), signal), float(to_numpy(text, {**own, signal: 1.0}, effect.callable))
+
+
 def _judged(
-    step: Any, estimates: Mapping[str, Mapping[str, Any]], before: float, kind: str
+    step: Any,
+    estimates: Mapping[str, Mapping[str, Any]],
+    before: float,
+    kind: str,
+    other: str = "",
 ) -> tuple[list[str], list[str]]:
     """What one step claims, sizes where noise is left, and what is not to be believed."""
     own = [(estimates[p.name], p) for p in step.effect.parameters if p.name in estimates]
@@ -624,8 +656,8 @@ def _judged(
     agree = ", the validation records agree"
     sized = f": {shown}" * bool(kind in EXPLAINED and sizes and not rivals)
     words = f"{what} is missing{agree * (predicted > 0)}{sized}."
-    if kind in OPEN:
-        words = f"{what} helps{agree * (predicted > 0)}; it may stand for what is still missing."
+    if stands_for := "what is still missing" if kind in OPEN else other:
+        words = f"{what} helps{agree * (predicted > 0)}; it may stand for {stands_for}."
     found = [] if any(absent.values()) else [words]
     return found, [text for text, applies in doubts.items() if applies]
 
