@@ -112,6 +112,12 @@ def test_what_does_as_well_beside_the_model_that_was_made_is_in_its_group() -> N
     state = Standing(study, (added,), fit, (base, fit), behind)
     (found,) = with_alike(state, rank(study, fit, state.left, n_refits=0)).added
     assert found.group == ("offset", "near")
+    # What is in the model by itself is no other name for what stands beside it.
+    ranking = rank(study, fit, (near, push), n_refits=0, also=("near",))
+    claims = [Claim("near", 40.0, np.nan, 10.0)]
+    after = with_refit(replace(state, added=(found,)), ranking.refits[0], claims, ranking)
+    assert [one.group[0] for one in after.added] == ["offset", "near"]
+    assert after.added[0].group == ("offset",)
 
 
 @pytest.mark.parametrize(("seed", "better"), [(3, 1.1), (4, 2.0)])

@@ -430,8 +430,13 @@ def with_refit(
         Added(effect, decided, ranking.claimed_with(refit, claims) if single else (effect.name,))
         for effect in refit.effects
     ]
+    # What is in the model is no other word for what is beside it.
+    gone = {effect.name for effect in refit.effects}
+    before = [
+        replace(one, group=tuple(n for n in one.group if n not in gone)) for one in state.added
+    ]
     path = (*state.path, fit)
-    return replace(state, added=(*state.added, *added), fit=fit, path=path)
+    return replace(state, added=(*before, *added), fit=fit, path=path)
 
 
 def not_astray(study: Study, fit: FilteredSolution) -> FilteredSolution:
