@@ -14,6 +14,8 @@ import steered_ship
 import turning_ship
 from altered import part
 from motion import small
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 from scipy.stats import false_discovery_control, norm
 from steered_ship import nothing
 from turning_ship import SHIP
@@ -24,7 +26,18 @@ from benchmarks.random_forces.simulator import believed
 from benchmarks.random_forces.simulator import simulate as simulate_worlds
 from benchmarks.random_forces.trial import dataset, nominal_model
 from benchmarks.truth import gauss_markov
-from oed_sysid import Fit, Model, MultipleShooting, Parameter, improve, load_problem, simulate
+from oed_sysid import (
+    Fit,
+    Input,
+    Model,
+    MultipleShooting,
+    Output,
+    Parameter,
+    State,
+    improve,
+    load_problem,
+    simulate,
+)
 from oed_sysid.baselines import JointKalmanFilter
 from oed_sysid.cli import SUSPECT, main
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
@@ -42,6 +55,7 @@ from oed_sysid.likelihood.noise_levels import (
     spike_masks,
     spike_sizes,
 )
+from oed_sysid.physics import Force, RandomForce
 from oed_sysid.runtime.display import told
 
 WHITE = MultipleShooting(noise=NOISE, disturbances="none")
@@ -286,6 +300,74 @@ def test_errors_of_a_sensor_are_measured(signal: str, kind: str, named: str, siz
         # Residuals of steps that are too coarse look the same, and are none of the log.
         coarse = replace(fit, status=replace(fit.status, code="integration"))
         assert "delay" not in kinds(coarse)
+
+
+BOAT = Model(
+    "boat with a receiver",
+    states=(State("u", "m/s"), State("r", "rad/s"), State("psi", "rad"), State("x", "m"),
+            State("y", "m")),
+    inputs=(Input("d", "rad"),),
+    outputs=(
+        Output("x", "m", noise_std=0.03), Output("y", "m", noise_std=0.03),
+        Output("psi", "rad", noise_std=0.006), Output("r", "rad/s", noise_std=0.006),
+    ),
+    kinematics={"psi": "r", "x": "u*cos(psi)", "y": "u*sin(psi)"},
+    axes={"X": "u", "N": "r"},
+    inertia={("X", "u"): "1", ("N", "r"): "1"},
+    effects=(Force("hull", {"X": "a - b*u**2", "N": "k*u*d - c*r"}, (
+        Parameter("a", 1.0, "m/s^2"), Parameter("b", 0.05, "1/m"),
+        Parameter("k", 0.4, "1/m"), Parameter("c", 1.5, "1/s"),
+    )),),
+    step=0.2,
+)  # fmt: skip
+
+
+def boat_data(late: float, ahead: float) -> Dataset:
+    """A boat speeding up in a zigzag; its receiver is late, s, and ahead of the origin, m."""
+    times, rng = 0.2 * np.arange(300), np.random.default_rng(0)
+    rudder = 0.4 * np.sign(np.sin(2.0 * np.pi * times / 17.0))
+
+    def rates(_: float, state: np.ndarray, angle: float) -> list[float]:
+        u, r, psi = state[:3]
+        return [1.0 - 0.05 * u**2, 0.4 * u * angle - 1.5 * r, r, u * np.cos(psi), u * np.sin(psi)]
+
+    states = np.zeros((300, 5))
+    states[0, 0] = 2.0
+    for k in range(299):
+        step = solve_ivp(rates, (0.0, 0.2), states[k], args=(rudder[k],), rtol=1e-8)
+        states[k + 1] = step.y[:, -1]
+    r, psi, *position = states.T[1:]
+    place = np.array(position) + ahead * np.array([np.cos(psi), np.sin(psi)])
+    x, y = (CubicSpline(times, one)(times - late) for one in place)
+    outputs = np.column_stack([x, y, psi, r])
+    outputs += np.array([0.03, 0.03, 0.006, 0.006]) * rng.standard_normal(outputs.shape)
+    return Dataset((Record("a", times, rudder[:, None], outputs, BOAT.channels),))
+
+
+@pytest.mark.parametrize(
+    ("late", "ahead", "kind"), [(0.0, 0.0, ""), (0.4, 0.0, "delay"), (0.0, 2.5, "lever")]
+)
+def test_a_receiver_departs_as_a_whole(late: float, ahead: float, kind: str) -> None:
+    """Positions that are late, or of a point ahead, are named as one; their noise is not blamed."""
+    data = boat_data(late, ahead)
+    fit = MultipleShooting(disturbances="none").fit(BOAT, data)
+    found = [c for c in fit.concerns if c.kind in ("delay", "lever", "offset", "scale")]
+    assert [one.kind for one in found] == [kind] * bool(kind)
+    for one in found:
+        assert "x and y" in one.text
+        assert one.size == pytest.approx(late or ahead, rel=0.15)
+
+
+def test_a_receiver_off_the_origin_is_asked_beside_process_noise() -> None:
+    """Its place is told with its error, better than as an error of its clock."""
+    forces = RandomForce("N", level=0.02, time=2.0, known=True)
+    fit = MultipleShooting().fit(BOAT + forces, boat_data(0.0, 0.05))
+    asked = {one.kind: one for one in departures_beside(fit) if one.signals == ("x", "y")}
+    assert abs(asked["ahead"].size - 0.05) < 3.0 * asked["ahead"].std < 0.05
+    assert asked["ahead"].gain > asked["late"].gain
+    assert asked["late"].size == pytest.approx(
+        -0.05 / np.sqrt(20.0), rel=0.3
+    )  # at full speed, 0.05 m
 
 
 def test_a_late_input_is_measured() -> None:

@@ -11,6 +11,13 @@ leaves :math:`\tau\,\partial y/\partial\tau`, found by simulating with the shift
 a score test at no departure with everything else estimated too (Cox & Hinkley 1974, ch. 9). All
 compete: the one that explains most is named, others follow once it is mended.
 
+What one instrument measures departs together. Outputs of one unit may be late by the same time, and
+positions be those of a receiver at :math:`\ell` from the origin,
+
+.. math:: g = R\,e_i = \partial \dot\eta / \partial \nu_i ,
+
+the direction of a body axis being what a velocity along it adds to the rates of the positions.
+
 Actuators that did not begin at their first command.
 
 What an actuator remembers (the angle of a fin that lags, the side of a gap) begins at the first
@@ -34,6 +41,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from oed_sysid.compiled.graph import build
 from oed_sysid.compiled.kernels import Kernel, Run, by_unknowns, kernel
 from oed_sysid.data.record import Record
 from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate
@@ -62,6 +70,8 @@ SHAPES: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "off": lambda outputs, _: np.ones_like(outputs),
     "scale": lambda outputs, _: outputs,
 }
+# Axis of the body along which a receiver of positions may be away from the origin.
+LEVERS = {"ahead": "X", "to starboard": "Y", "below": "Z"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,10 +169,59 @@ def _scores(fit: Estimate, parts: Sequence[_Evidence], *, joint: bool) -> Iterat
             yield _Score(int(column), part.record, size, std, gain, share)
 
 
-def asked_of(model: Model) -> list[tuple[str, str]]:
-    """Signals and kinds of the departures that are asked: of every output, and late inputs."""
-    outputs = [(name, kind) for kind in SHAPES for name in model.output_names]
-    return outputs + [(name, "acts late") for name in model.input_names]
+def asked_of(model: Model) -> list[tuple[tuple[str, ...], str]]:
+    """Signals and kinds of the departures that are asked: of outputs, and late inputs."""
+    units = dict.fromkeys(output.unit for output in model.outputs)
+    shared = [tuple(one.name for one in model.outputs if one.unit == unit) for unit in units]
+    shared = [signals for signals in shared if len(signals) > 1]
+    return [
+        *(((name,), kind) for kind in SHAPES for name in model.output_names),
+        *((signals, "late") for signals in shared),
+        *((positions_of(model), kind) for kind in levers_of(model)),
+        *(((name,), "acts late") for name in model.input_names),
+    ]
+
+
+def positions_of(model: Model) -> tuple[str, ...]:
+    """Outputs that are positions of the vehicle."""
+    return tuple(
+        one.name for one in model.outputs if one.unit == "m" and one.source in model.kinematics
+    )
+
+
+def levers_of(model: Model) -> tuple[str, ...]:
+    """Kinds of a receiver off the origin: a single position does not tell them from its zero."""
+    asked = len(positions_of(model)) > 1
+    return tuple(kind for kind, axis in LEVERS.items() if asked and axis in model.axes)
+
+
+def off_origin(
+    model: Model, kind: str, values: np.ndarray, states: np.ndarray, times: np.ndarray
+) -> np.ndarray:
+    """What positions of a receiver 1 m off the origin add to outputs, ``(n_times, n_outputs)``.
+
+    Parameters
+    ----------
+    model : Model
+    kind : str
+        Of :data:`LEVERS`.
+    values : ndarray (n_parameters,)
+    states : ndarray (n_times, n_own)
+        Of the vehicle.
+    times : ndarray (n_times,)
+    """
+    graph, names = build(model), model.state_names
+    own = np.zeros((graph.n_states, len(times)))
+    own[: len(names)] = states.T
+    faster = own.copy()
+    faster[names.index(model.axes[LEVERS[kind]])] += 1.0
+    before, after = (np.array(graph.rates(x, 0.0, values, times[None])) for x in (own, faster))
+    added = np.zeros((len(times), len(model.outputs)))
+    for column, output in enumerate(model.outputs):
+        if output.name in positions_of(model):
+            row = names.index(output.source)
+            added[:, column] = after[row] - before[row]
+    return added
 
 
 def estimate_departures(fit: Estimate) -> tuple[Departure, ...]:
@@ -171,33 +230,40 @@ def estimate_departures(fit: Estimate) -> tuple[Departure, ...]:
     See the equations above; residuals that are coloured enlarge the standard errors by the root
     of the ratio of all to independent samples, those larger than declared by their misfit.
     """
-    signals, own = asked_of(fit.model), _slowness(fit)
-    slow = [*own * len(SHAPES), *[max(own)] * len(fit.model.input_names)]
-    parts = _evidence(fit, partial(_departed, fit), fewest=3)
-    return tuple(
-        Departure(*signals[one.column], one.size, slow[one.column] * one.std, one.gain, one.share)
-        for one in _scores(fit, parts, joint=True)
-    )
+    own = _slowness(fit)
+    found = []
+    for one in _scores(fit, _evidence(fit, partial(_departed, fit), fewest=3), joint=True):
+        signals, kind = asked_of(fit.model)[one.column]
+        std = one.std * max(own[name] for name in (own if kind == "acts late" else signals))
+        numbers = one.size, std, one.gain, one.share
+        found.append(Departure(signals[0], kind, *numbers, together=signals[1:]))
+    return tuple(found)
 
 
-def _slowness(fit: Estimate) -> list[float]:
+def _slowness(fit: Estimate) -> dict[str, float]:
     """Roots of samples over independent samples of every output."""
-    counts = fit.effective_samples().values()
-    return [float(np.sqrt(max(n, 1) / max(some, 1.0))) for some, n in counts]
+    counts = fit.effective_samples().items()
+    return {name: float(np.sqrt(max(n, 1) / max(some, 1.0))) for name, (some, n) in counts}
 
 
 def _departed(fit: Estimate, index: int, run: Run, _: np.ndarray) -> np.ndarray:
-    """Derivatives of a record's outputs by delay, zero and scale of each, and by late inputs."""
-    record, shift = fit.dataset[index], fit.dataset[index].sample_time
-    eye = np.eye(len(fit.model.outputs))
-    columns = [eye * shape(run.outputs, record.times)[:, :, None] for shape in SHAPES.values()]
-    for column in range(len(fit.model.inputs)):
-        moved = acting_late(record, column, shift).inputs
+    """Derivatives of a record's outputs by every departure that is asked."""
+    record, shift, model = fit.dataset[index], fit.dataset[index].sample_time, fit.model
+    states, values = run.states[:, : len(model.states)], values_of(fit, index)
+    shapes = {kind: shape(run.outputs, record.times) for kind, shape in SHAPES.items()}
+    for kind in levers_of(model):
+        shapes[kind] = off_origin(model, kind, values, states, record.times)
+    columns = []
+    for signals, kind in asked_of(model):
+        if kind in shapes:
+            columns.append(shapes[kind] * np.isin(model.output_names, signals))
+            continue
+        moved = acting_late(record, model.input_names.index(signals[0]), shift).inputs
         # Commands are steps, without derivatives: the difference of two runs takes their place.
         still = np.array_equal(moved, record.inputs)
         after = run.outputs if still else outputs_of(fit, index, moved)
-        columns.append((after - run.outputs)[:, :, None] / shift)
-    return np.concatenate(columns, axis=2)
+        columns.append((after - run.outputs) / shift)
+    return np.stack(columns, axis=2)
 
 
 def acting_late(record: Record, column: int, by: float) -> Record:
@@ -225,8 +291,12 @@ def clear_departure(fit: Estimate, found: Sequence[Departure]) -> Departure | No
     best = max(clear, key=lambda one: one.gain, default=None)
     if best is None:
         return None
-    others = (one for one in clear if one is not best and one.gain > best.gain - CLEARLY**2)
-    return replace(best, rivals=tuple(f"{one.signal} ({one.kind})" for one in others))
+    # In residuals as large and as correlated as those of the best.
+    near = best.gain * (CLEARLY * best.std / best.size) ** 2
+    others = (one for one in clear if one is not best and one.gain > best.gain - near)
+    return replace(
+        best, rivals=tuple(f"{' and '.join(one.signals)} ({one.kind})" for one in others)
+    )
 
 
 def values_of(fit: Estimate, index: int) -> np.ndarray:
@@ -271,7 +341,7 @@ def estimate_starts(fit: Estimate) -> tuple[ActuatorStart, ...]:
     def beside(_: int, __: Run, by_start: np.ndarray) -> np.ndarray:
         return np.stack([by_start[:, :, places].sum(axis=2) for *_, places in columns], axis=2)
 
-    slow = max(_slowness(fit), default=1.0)
+    slow = max(_slowness(fit).values(), default=1.0)
     found = [
         ActuatorStart(*columns[one.column][:2], one.record, one.size, slow * one.std, one.share)
         for one in _scores(fit, _evidence(fit, beside), joint=False)

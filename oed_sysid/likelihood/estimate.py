@@ -55,15 +55,16 @@ class Status:
 
 @dataclass(frozen=True)
 class Departure:
-    """Score estimate of what is wrong with one signal.
+    """Score estimate of what is wrong with one signal, or with those of one instrument.
 
     Attributes
     ----------
     signal : str
     kind : str
-        ``"late"``, ``"off"`` or ``"scale"`` of an output, or ``"acts late"`` of an input.
+        ``"late"``, ``"off"`` or ``"scale"`` of an output, ``"acts late"`` of an input, or where
+        from the origin positions are measured: ``"ahead"``, ``"to starboard"`` or ``"below"``.
     size, std : float
-        In s, in the unit of the signal, or the share by which its scale is larger; and its
+        In s, in the unit of the signal, in m, or the share by which its scale is larger; and its
         standard error.
     gain : float
         What it explains, in twice the log-likelihood.
@@ -71,6 +72,8 @@ class Departure:
         Of the misfit beyond noise.
     rivals : tuple of str
         Others that explain as much.
+    together : tuple of str
+        Other signals of the same instrument that depart with it.
     """
 
     signal: str
@@ -80,6 +83,12 @@ class Departure:
     gain: float
     share: float
     rivals: tuple[str, ...] = ()
+    together: tuple[str, ...] = ()
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """All signals that depart."""
+        return (self.signal, *self.together)
 
 
 @dataclass(frozen=True)

@@ -114,6 +114,12 @@ FEW = 3.0
 HORIZONS, FEWEST = (0.02, 0.05, 0.125), 10
 # What a fit that ended early asks first; with the check at hand `advised` says what it found.
 LOOK = "See what the check of the log says (check, on the command line oed-sysid check)."
+# Where positions are measured, on either side of the origin.
+SIDES = {
+    "ahead": ("ahead of", "astern of"),
+    "to starboard": ("to starboard of", "to port of"),
+    "below": ("below", "above"),
+}
 # Kinds that make a fit not converged, worst first, and those with which it may converge and must
 # still not be used.
 FATAL = ("runaway", "integration", "degenerate")
@@ -128,7 +134,7 @@ class Concern:
     ----------
     kind : str
         ``noise_level``, ``autocorrelation``, ``narrow_band``, ``spikes``, ``delay``, ``offset``,
-        ``scale``, ``actuator_start``, ``per_record_follows``, ``records_differ``,
+        ``scale``, ``lever``, ``actuator_start``, ``per_record_follows``, ``records_differ``,
         ``input_noise``, ``input_factor``, ``absorbed``, ``process_noise``, ``constraint``,
         ``integration``, ``finer_step``, ``runaway``, ``degenerate`` or ``few_samples``.
     signal : str
@@ -138,8 +144,8 @@ class Concern:
     size : float
         A factor of the level (``noise_level``, ``absorbed``), the share of independent samples
         (``autocorrelation``), a number of samples (``spikes``), seconds (``delay``,
-        ``narrow_band``), the unit of the signal (``offset``, ``actuator_start``), a share
-        (``scale``), a correlation (``per_record_follows``), a factor of the standard error
+        ``narrow_band``), m (``lever``), the unit of the signal (``offset``, ``actuator_start``), a
+        share (``scale``), a correlation (``per_record_follows``), a factor of the standard error
         (``records_differ``), the true input over the logged one (``input_factor``), noise levels
         (``integration``, ``input_noise``), multiples of the scale (``runaway``) or of the signal
         (``degenerate``), samples per unknown (``few_samples``), standard errors (``constraint``,
@@ -494,7 +500,7 @@ def _sought(fit: Estimate) -> Departure | None:
         return None if found is None or laws_of(fit) else found
     # Disturbance forces absorb a departure, so that its size is that before them; and what an
     # autopilot does about them is none, so that it has to show beside them as well.
-    same = (one for one in beside if (one.signal, one.kind) == (before.signal, before.kind))
+    same = (one for one in beside if (one.signals, one.kind) == (before.signals, before.kind))
     shows = any(one.size * np.sign(before.size) > TWO_SIDED_95 * one.std for one in same)
     return before if shows else None
 
@@ -504,10 +510,12 @@ def _facts_of(one: Departure, fit: Estimate) -> dict[str, Any]:
     units = {output.name: output.unit for output in fit.model.outputs if one.kind == "off"}
     factor, unit = shown_unit(units.get(one.signal, ""))
     many = one.size > 0
+    logged = "are logged" if one.together else "is logged"
+    sides = SIDES.get(one.kind, ("high", "low"))
     return {
-        "verb": "acts" if one.kind == "acts late" else "is logged", "unit": unit,
-        "value": abs(factor * one.size), "error": TWO_SIDED_95 * factor * one.std,
-        "late": "late" if many else "early", "side": "high" if many else "low",
+        "what": " and ".join(one.signals), "verb": "acts" if one.kind == "acts late" else logged,
+        "unit": unit, "value": abs(factor * one.size), "error": TWO_SIDED_95 * factor * one.std,
+        "late": "late" if many else "early", "side": sides[0 if many else 1],
         "share": 100.0 * one.size, "doubt": 100.0 * TWO_SIDED_95 * one.std,
         "or": f", or {' or '.join(one.rivals)}," if one.rivals else "",
     }  # fmt: skip
@@ -902,9 +910,9 @@ CHECKS = (
     Check(
         "delay", partial(_departure, ("late", "acts late")),
         f"{CLEAR:g} standard errors; see departures.clear_departure",
-        "The residuals look as if {signal}{or} {verb} {value:.3g} ± {error:.2g} s {late} "
+        "The residuals look as if {what}{or} {verb} {value:.3g} ± {error:.2g} s {late} "
         "(expected none). Compare the clocks of "
-        "the log, and shift {signal}, or add a delay or lag to the model.",
+        "the log, and shift {what}, or add a delay or lag to the model.",
     ),
     Check(
         "offset", partial(_departure, ("off",)),
@@ -919,6 +927,13 @@ CHECKS = (
         "The residuals look as if the scale of {signal}{or} were {share:+.2g} ± {doubt:.2g} % off "
         "(expected none), and parameters bend to that. Check its calibration and unit, or let it "
         "be estimated: sensor_scale of oed_sysid.physics.",
+    ),
+    Check(
+        "lever", partial(_departure, tuple(SIDES)),
+        f"{CLEAR:g} standard errors; see departures.clear_departure",
+        "The residuals look as if {what}{or} were measured {value:.3g} ± {error:.2g} m {side} the "
+        "origin of the model (expected at the origin), and parameters bend to that. Find out where "
+        "the receiver is, and write its place into the outputs, such as x + a*cos(psi).",
     ),
     Check(
         "actuator_start", _starts, f"{CLEAR:g} standard errors; see departures.clear_starts",

@@ -48,7 +48,14 @@ from oed_sysid.compiled.filtering import FilterPass, filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.errors import SimulationError
-from oed_sysid.likelihood.departures import SHAPES, acting_late, asked_of
+from oed_sysid.likelihood.departures import (
+    LEVERS,
+    SHAPES,
+    acting_late,
+    asked_of,
+    off_origin,
+    values_of,
+)
 from oed_sysid.likelihood.disturbances import DISTURBANCE, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import Departure, Estimate, once_a_fit
@@ -178,8 +185,8 @@ def departures_beside(fit: Estimate) -> tuple[Departure, ...]:
     problem, unknowns = posed_again(fit)
     point = Scored(problem, unknowns, problem.passes(unknowns, levels=False, rows=True))
     asked, columns = asked_of(fit.model), list[list[np.ndarray]]()
-    for signal, kind in asked:
-        spoilt, unit = _spoilt(fit, signal, kind, point.passes)
+    for signals, kind in asked:
+        spoilt, unit = _spoilt(fit, signals, kind, point)
         moved = problem.posed(dataset=spoilt).passes(unknowns, columns=False)
         columns.append(
             [
@@ -197,28 +204,32 @@ def departures_beside(fit: Estimate) -> tuple[Departure, ...]:
     shares = np.minimum(gains / max(float(errors @ errors) - len(errors), 1e-9), 1.0)
     numbers = zip(*(one.tolist() for one in (sizes, std, gains, shares)), strict=True)
     return tuple(
-        Departure(*signal, *own)
-        for signal, own in zip(asked, numbers, strict=True)
+        replace(Departure(signals[0], kind, *own), together=signals[1:])
+        for (signals, kind), own in zip(asked, numbers, strict=True)
         if np.isfinite(own).all()
     )
 
 
 def _spoilt(
-    fit: Estimate, signal: str, kind: str, parts: Sequence[FilterPass]
+    fit: Estimate, signals: Sequence[str], kind: str, point: Scored
 ) -> tuple[Dataset, float]:
     """Records with some more of a departure undone, and how much that is."""
     if kind == "acts late":
-        column = fit.model.input_names.index(signal)
+        column = fit.model.input_names.index(signals[0])
         # Commands are steps: less than a sample would move nothing.
         unit = min(record.sample_time for record in fit.dataset)
         return Dataset(tuple(acting_late(one, column, unit) for one in fit.dataset)), unit
-    column, records = fit.model.output_names.index(signal), []
-    for record, part in zip(fit.dataset, parts, strict=True):
-        outputs = record.outputs.copy()
-        seen = np.isfinite(outputs[:, column]) & (not record.independent)
-        if seen.sum() > 1:
-            expected = (outputs - part.innovations)[seen, column]
-            outputs[seen, column] -= SHAPES[kind](expected, record.times[seen])
+    records = []
+    for index, (record, part) in enumerate(zip(fit.dataset, point.passes, strict=True)):
+        outputs, expected = record.outputs.copy(), record.outputs - part.innovations
+        if kind in LEVERS and not record.independent:
+            states = part.path[:, point.problem.own]
+            values = values_of(fit, index)
+            outputs -= off_origin(fit.model, kind, values, states, record.times)
+        for column in map(fit.model.output_names.index, () if kind in LEVERS else signals):
+            seen = np.isfinite(outputs[:, column]) & (not record.independent)
+            if seen.sum() > 1:
+                outputs[seen, column] -= SHAPES[kind](expected[seen, column], record.times[seen])
         records.append(record.with_outputs(outputs))
     return Dataset(tuple(records)), 1.0
 
