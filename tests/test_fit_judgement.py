@@ -353,6 +353,7 @@ def test_a_receiver_departs_as_a_whole(late: float, ahead: float, kind: str) -> 
     fit = MultipleShooting(disturbances="none").fit(BOAT, data)
     found = [c for c in fit.concerns if c.kind in ("delay", "lever", "offset", "scale")]
     assert [one.kind for one in found] == [kind] * bool(kind)
+    assert not [c.signal for c in fit.concerns if c.kind == "noise_level"]
     for one in found:
         assert "x and y" in one.text
         assert one.size == pytest.approx(late or ahead, rel=0.15)

@@ -300,6 +300,9 @@ def _levels(fit: Estimate) -> Iterator[Found]:
     if fit.innovations is None:  # those that it took where it was given others
         declared = np.where(fit.sigma_estimated, declared, fit.sigma)
     share = max(1.0 - fit.n_unknowns / max(fit.n_observations, 1), 0.1)
+    # What a departure explains more of than it leaves is no noise, in whatever it bends.
+    departure = _sought(fit)
+    departs = departure is not None and departure.share > 0.5
     for column, output in enumerate(fit.model.outputs):
         if fit.sigma_estimated[column] or not np.isfinite(declared[column]):
             continue
@@ -315,6 +318,8 @@ def _levels(fit: Estimate) -> Iterator[Found]:
             rest = fit.noise_std.get(f"colour of {output.name} level", 0.0)
             error = float(np.hypot(error, rest * (slow / whole) ** 2))
         if abs(np.log(factor)) < max(CLEAR * error, np.log(LEVEL_FACTOR)):
+            continue
+        if factor > 1.0 and departs:
             continue
         wrong = "small" if factor > 1.0 else "large"
         so = f"Standard errors are too {wrong} for it: set noise_std, or noise='estimate'."
