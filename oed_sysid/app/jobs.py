@@ -35,8 +35,8 @@ from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.runtime.journal import CellStore, package_digest
 
-# Results held in memory and on disk; the longest unused go first.
-_HELD, _STORED = 40, 400
+# Results held in memory, and on disk; the longest unused go first.
+_HELD = 100
 # Seconds that a stopped process is given before it is killed.
 _GRACE = 2.0
 
@@ -293,7 +293,7 @@ def _name(key: str) -> str:
 def _prune(folder: Path) -> None:
     """Forget the results that were not looked at for longest."""
     with suppress(OSError):
-        for file in sorted(folder.glob("*.cell"), key=lambda file: file.stat().st_mtime)[:-_STORED]:
+        for file in sorted(folder.glob("*.cell"), key=lambda file: file.stat().st_mtime)[:-_HELD]:
             file.unlink(missing_ok=True)
 
 

@@ -28,10 +28,11 @@ from oed_sysid.likelihood.estimator import Estimator, Solver
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.noise_levels import FINEST_NOISE, given_levels
+from oed_sysid.likelihood.noise_levels import given_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
+from oed_sysid.runtime.constants import THREE_DIGITS
 
 UNITS = {"peak": "% of peak", "declared": "x declared noise"}
 
@@ -103,7 +104,7 @@ class Scenario:
 
     def with_noise(self, sigma: np.ndarray) -> Model:
         """Return the true model with outputs that declare this noise, or a small one for none."""
-        return self.model.with_noise(np.where(sigma > 0, sigma, FINEST_NOISE * self.peaks))
+        return self.model.with_noise(np.where(sigma > 0, sigma, THREE_DIGITS * self.peaks))
 
 
 @lru_cache(maxsize=16)

@@ -84,7 +84,7 @@ from oed_sysid.runtime.display import (
 )
 
 # Neighbouring frequencies of one value of the coherence; its bias is one over them.
-NEIGHBOURS = 5
+NEIGHBOURS = MINIMUM_SAMPLES
 
 Band = tuple[float, float]
 

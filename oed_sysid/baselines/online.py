@@ -43,6 +43,7 @@ from oed_sysid.baselines.support_vectors import (
 from oed_sysid.errors import ModelError, PrecisionWarning
 from oed_sysid.likelihood.estimator import check_choice
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import THREE_DIGITS
 
 
 class OnlineMachine:
@@ -244,7 +245,7 @@ class RecursiveLSSVM(OnlineMachine):
 
 # Relative residual of the dual system above which the solution is announced as lost. Rounding
 # leaves 1e-5 where three digits of the coefficients are right, and more than 1e-2 where none is.
-LOST = 1e-3
+LOST = THREE_DIGITS
 
 
 class IncrementalLSSVM(OnlineMachine):

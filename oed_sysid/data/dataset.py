@@ -36,9 +36,10 @@ import numpy as np
 
 from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.frames import RECORD, frame, tables_of
-from oed_sysid.data.record import SAME_MOMENT, Record, empty_outputs, nearest
+from oed_sysid.data.record import Record, empty_outputs, nearest
 from oed_sysid.errors import DataError, located
 from oed_sysid.physics.channels import Channels
+from oed_sysid.runtime.constants import IMMATERIAL
 from oed_sysid.runtime.display import as_html
 from oed_sysid.text.csv_table import Table, read_table, write_table
 from oed_sysid.text.units import parse_header
@@ -618,7 +619,7 @@ def _shifts(a: Record, b: Record, span: np.ndarray, tolerance: float) -> list[fl
                 votes += (sign * (one.times[matches] - other.times[row])).tolist()
     if not votes:
         return []
-    step = max(SAME_MOMENT * min(a.sample_time, b.sample_time), 1e-12)
+    step = max(IMMATERIAL * min(a.sample_time, b.sample_time), 1e-12)
     found = np.array(votes)
     bins, first, counts = np.unique(np.round(found / step), return_index=True, return_counts=True)
     order = np.argsort(-counts, kind="stable")[:6]
@@ -630,7 +631,7 @@ def _compared(
 ) -> Overlap | None:
     """Compare all rows at one shift; None if they are not the same."""
     partner, distance = nearest(b.times + shift, a.times)
-    clock = SAME_MOMENT * min(a.sample_time, b.sample_time)
+    clock = IMMATERIAL * min(a.sample_time, b.sample_time)
     first, second = a.outputs[partner], b.outputs
     both = np.isfinite(first) & np.isfinite(second)
     compared = (distance <= clock) & both.any(axis=1) & _moves(b)

@@ -46,8 +46,6 @@ WRAP_SHARE = 0.08
 FASTER = 8.0
 # A gap is so many usual steps long.
 GAP = 4.0
-# Samples are of one moment within this share of the shortest sampling interval.
-SAME_MOMENT = 0.1
 # Fewer samples say nothing of a motion, or of a rate beside a gap.
 MINIMUM_SAMPLES = 5
 

@@ -20,7 +20,6 @@ from oed_sysid.data.mapping import Cut, LogMapping, Source
 from oed_sysid.data.record import (
     GAP,
     MINIMUM_SAMPLES,
-    SAME_MOMENT,
     Record,
     check_wraps,
     empty_outputs,
@@ -29,6 +28,7 @@ from oed_sysid.data.record import (
 )
 from oed_sysid.errors import DataError, located
 from oed_sysid.physics.channels import Channels, Input, Output
+from oed_sysid.runtime.constants import IMMATERIAL
 from oed_sysid.text.units import converts, same_unit, to_si
 
 # Switching times of a held command become rows if there are fewer of them than this share of rows.
@@ -237,7 +237,7 @@ class _Manoeuvre:
             step = work.mapping.sample_time
             self.pieces = {name: self._thinned(p, step) for name, p in self.pieces.items()}
         steps = [piece.step for piece in self.pieces.values() if piece.times.size > 1]
-        self.tolerance = work.mapping.tolerance or SAME_MOMENT * min(steps, default=0.0)
+        self.tolerance = work.mapping.tolerance or IMMATERIAL * min(steps, default=0.0)
 
     def _note(self, words: str) -> None:
         self.work.notes.append(f"{self.cut.name}: {words}")

@@ -71,7 +71,7 @@ from oed_sysid.information.shifts import GROUP_WIDTH, Group, Shifts
 from oed_sysid.likelihood.projection import ABSORBED
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import RANK_TOLERANCE
+from oed_sysid.runtime.constants import IMMATERIAL, RANK_TOLERANCE
 from oed_sysid.runtime.display import Section, Table, as_dict
 
 # Information that counts as none, in units of (relative error)**-2.
@@ -403,10 +403,6 @@ class GOptimal(_Prediction):
         return measure
 
 
-# Width of the soft minimum over pairs or effects, in units of log misfit or log power.
-_SOFTNESS = 0.1
-
-
 @runtime_checkable
 class ByShifts(Criterion, Protocol):
     """Contract of criteria that ask what absent effects would do, beside the parameters.
@@ -517,7 +513,7 @@ class Discriminate:
             gram, mapping = eliminate(matrix, n_parameters)
             pairs = pair_misfits(gram, shifts, against_believed=self.against_believed)
             logs = np.array([np.log(max(value, NOTHING)) for _, _, value, _ in pairs])
-            value, weights = soft_minimum(logs, _SOFTNESS)
+            value, weights = soft_minimum(logs, IMMATERIAL)
             by_gram = np.zeros_like(gram)
             for weight, (_, _, misfit, slope) in zip(weights, pairs, strict=True):
                 if misfit > NOTHING:
@@ -678,7 +674,7 @@ class Detect:
             if not self.worst:
                 return float(logs.mean()), mapping.T @ np.mean(slopes, axis=0) @ mapping
             kept = np.flatnonzero(usable) if any(usable) else np.arange(len(logs))
-            smallest, weights = soft_minimum(logs[kept], _SOFTNESS)
+            smallest, weights = soft_minimum(logs[kept], IMMATERIAL)
             total = np.tensordot(weights, np.stack(slopes)[kept], axes=1)
             return smallest, mapping.T @ total @ mapping
 

@@ -47,7 +47,6 @@ from oed_sysid.design.criteria import DOptimal, inverse
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
 from oed_sysid.design.library import Candidate
 from oed_sysid.design.result import write_run
-from oed_sysid.design.search import WORTH
 from oed_sysid.design.vehicles import (
     CHECKED,
     LimitBounds,
@@ -69,7 +68,7 @@ from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import IMMATERIAL
+from oed_sysid.runtime.constants import IMMATERIAL, NEGLIGIBLE
 from oed_sysid.runtime.display import (
     TWO_SIDED_95,
     Report,
@@ -563,7 +562,7 @@ class _Outlook:
             gains = np.log(nearer).sum(axis=1)
             # What is nearly met needs little: a run that meets it is worth its fuel all the same.
             meets = (then > self.wanted).sum(axis=-1) < (now > self.wanted).sum()
-            worth = (gains > WORTH) | meets
+            worth = (gains > NEGLIGIBLE) | meets
         order = np.argsort(-gains / [self.runs[i].cost for i in left], kind="stable")
         return [left[int(i)] for i in order if worth[i]]
 

@@ -40,7 +40,7 @@ from oed_sysid.design.objective import Objective, Score
 from oed_sysid.design.result import Design
 from oed_sysid.design.search import Progress, again, refine_all, starts
 from oed_sysid.design.trial import Search, Task, Trial, held_by
-from oed_sysid.design.vehicles import REACHED, Caution, Robust, motion, quantity, units_of
+from oed_sysid.design.vehicles import Caution, Robust, motion, quantity, units_of
 from oed_sysid.design.waveforms import Grid, Levels
 from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
@@ -49,6 +49,7 @@ from oed_sysid.likelihood.archive import encode
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import NEGLIGIBLE
 from oed_sysid.runtime.journal import Journal, opened
 from oed_sysid.runtime.threads import single_threaded
 
@@ -375,13 +376,13 @@ def _actuator_limits(grid: Grid, commands: np.ndarray, units: Mapping[str, str])
     words = []
     for i, name in enumerate(grid.inputs):
         command, unit, (low, high) = commands[:, i], units[name], (grid.lower[i], grid.upper[i])
-        room, slopes = REACHED * (high - low), np.abs(np.diff(command)) / grid.step
+        room, slopes = NEGLIGIBLE * (high - low), np.abs(np.diff(command)) / grid.step
         for limit, reached in (
             (f"lower limit {quantity(low, unit)}", np.abs(command - low) < room),
             (f"upper limit {quantity(high, unit)}", np.abs(command - high) < room),
             # An infinite rate is never reached.
             (f"rate limit {quantity(grid.rates[i], unit)}/s",
-             slopes > (1 - REACHED) * grid.rates[i]),
+             slopes > (1 - NEGLIGIBLE) * grid.rates[i]),
         ):  # fmt: skip
             if reached.any():
                 words.append(f"{name} {limit} for {reached.mean():.0%} of the time")

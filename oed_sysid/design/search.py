@@ -32,6 +32,7 @@ from scipy.optimize import linprog
 
 from oed_sysid.design.objective import Objective, Score, Slope
 from oed_sysid.design.waveforms import SIZES, Grid, Shape
+from oed_sysid.runtime.constants import NEGLIGIBLE
 from oed_sysid.runtime.journal import Journal
 
 
@@ -151,9 +152,6 @@ _MARGIN = 5e-4
 _PRICE = 300.0
 # Of a step, in shares of the range of the numbers searched: larger ones only cost retries.
 _FIRST_RADIUS, _LARGEST_RADIUS, _SMALLEST_RADIUS = 0.2, 0.5, 2e-3
-# A smaller gain of a criterion, or of a goal's log, is not worth the effort: of five steps
-# together, of a run.
-WORTH = 0.01
 # Share of the commands at which further refinements of the best result begin.
 _INWARD = 0.85
 
@@ -351,7 +349,7 @@ def refine_all(
                     score = state.current
                     progress(Progress(number, index, score.value, score.excess))
                 # Enough where the last five steps together gained too little.
-                if len(state.merits) > 6 and state.merits[-1] - state.merits[-6] < WORTH:
+                if len(state.merits) > 6 and state.merits[-1] - state.merits[-6] < NEGLIGIBLE:
                     break
                 keep.keep((index + 1, state, objective.n_evaluations))
             return state.best, state.best or state.nearest, objective.n_evaluations

@@ -51,6 +51,7 @@ from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import root_of
 from oed_sysid.likelihood.realisation import at_sea
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import NEGLIGIBLE
 
 
 def units_of(model: Model) -> dict[str, str]:
@@ -114,8 +115,6 @@ def percent(share: float) -> str:
     return f"{100 * share:.3g}%"
 
 
-# A limit counts as reached within this share of its width.
-REACHED = 0.01
 _SIDES = ("lower", "upper")
 
 
@@ -218,7 +217,7 @@ class LimitBounds:
         """Limits that are reached within 1 %, in words."""
         return tuple(
             f"{self.names[i]} {_SIDES[side]} limit {quantity(bound, self.units[i])} {when}"
-            for i, side, bound, _, when in self._extremes(times, limited, -REACHED)
+            for i, side, bound, _, when in self._extremes(times, limited, -NEGLIGIBLE)
         )
 
     def broken(self, times: np.ndarray, limited: np.ndarray) -> tuple[str, ...]:

@@ -56,9 +56,9 @@ from oed_sysid.evidence.chance import FALSE_CLAIMS
 from oed_sysid.evidence.corrections import ADDED, lagged, level_axis, logged, pivot, undo
 from oed_sysid.evidence.relations import READINGS, Relation, names_of
 from oed_sysid.evidence.result import Correction
-from oed_sysid.evidence.traces import LEAST, RELATIVE, Trace, fast_noise, units_of
+from oed_sysid.evidence.traces import LEAST, Trace, fast_noise, units_of
 from oed_sysid.likelihood.projection import ABSORBED
-from oed_sysid.runtime.constants import MATERIAL
+from oed_sysid.runtime.constants import MATERIAL, NEGLIGIBLE
 
 # Resolution: block means of a piece; and places a record at which a step or a burst is tried before
 # its place is refined.
@@ -327,7 +327,7 @@ class Facts:
         for n in self.size:
             # Positions and depths are told by satellites and pressure: rarely of wrong scale.
             rare = RARER * (n in self.integrated)
-            yield Candidate("scale", (n,), "1", 0.25, RELATIVE, rare=rare)
+            yield Candidate("scale", (n,), "1", 0.25, NEGLIGIBLE, rare=rare)
 
     def clocks(self) -> Iterator[Candidate]:
         """Delays and rates of clocks of each signal, of all positions and of all velocities."""
@@ -344,7 +344,7 @@ class Facts:
                 arm = 0.5 * max(self.size[v] for v in self.velocities) / self.size[rate]
                 yield Candidate("lever", (name,), "m", arm, min(0.05, 0.02 * arm), (rate,))
         for pair in combinations(self.velocities, 2):
-            yield Candidate("misalignment", pair, "rad", 0.1, 0.4 * RELATIVE)
+            yield Candidate("misalignment", pair, "rad", 0.1, 0.4 * NEGLIGIBLE)
 
     def drifts(self) -> Iterator[Candidate]:
         """Errors that grow with time."""
@@ -663,7 +663,7 @@ def assemble(
         noise = Noise(mine, faults, inside)
         shares, law = noise.shares, noise.law
         part = shares * law.mean(axis=1)
-        active = part > RELATIVE * part.sum()
+        active = part > NEGLIGIBLE * part.sum()
         # Information on variances of normal coefficients: half the squared relative change of
         # each.
         fisher = np.linalg.pinv(0.5 * (law[active] / noise.variance**2) @ law[active].T)
@@ -863,7 +863,7 @@ class System:
         across = self._inverse(a) @ self.gram[a]
         left = own - np.einsum("ij,ij->j", self.gram[a], across)
         score = self.right - across.T @ self.right[a]
-        told = (left > RELATIVE * own) & (own > 0.0)
+        told = (left > NEGLIGIBLE * own) & (own > 0.0)
         left = np.where(told, left + self.of("plausible") ** -2.0, np.inf)
         return score**2 / left, score / left, left**-0.5
 

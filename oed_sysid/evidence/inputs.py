@@ -56,7 +56,7 @@ from oed_sysid.evidence.corrections import ORDER, corrected
 from oed_sysid.evidence.readings import diagnosed
 from oed_sysid.evidence.relations import READINGS, Relation
 from oed_sysid.evidence.result import Correction, Finding, Judged
-from oed_sysid.evidence.traces import RELATIVE, Trace, fast_noise
+from oed_sysid.evidence.traces import Trace, fast_noise
 from oed_sysid.evidence.words import Log, judged_row, said
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import Fit
@@ -66,6 +66,7 @@ from oed_sysid.likelihood.start_guess import kinematic_states, measured_columns,
 from oed_sysid.physics.channels import Input, State
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
+from oed_sysid.runtime.constants import NEGLIGIBLE
 from oed_sysid.text.expressions import names as names_in
 
 # A declared prior is not trusted beyond this share of its mean: nominal physics lacks as much.
@@ -380,9 +381,9 @@ def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question
     common, local, single = list[Candidate](), list[Candidate](), list[Candidate]()
     for name in moving:
         size = max(float(np.nanmax(np.abs(t.values[name]))) for t in traces)
-        common.append(Candidate("bias", (name,), moving[name], 0.3 * size, RELATIVE * size))
+        common.append(Candidate("bias", (name,), moving[name], 0.3 * size, NEGLIGIBLE * size))
         lost = Candidate("lost", (name,), "1", 1.0, 0.5, rare=RARER)
-        common.append(replace(lost, material=RELATIVE, rare=0.0))
+        common.append(replace(lost, material=NEGLIGIBLE, rare=0.0))
         if timed:
             common.append(Candidate("delay", (name,), "s", late, traces[0].step))
             common.append(Candidate("lag", (name,), "s", late, traces[0].step, positive=True))
@@ -390,7 +391,7 @@ def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question
         local.append(lost)
     for name in (one.target for one in equations):
         usual = max(float(np.nanstd(t.values[name])) for t in traces) / length + 1e-12
-        local.append(Candidate("drift", (name,), "", usual, RELATIVE * usual))
+        local.append(Candidate("drift", (name,), "", usual, NEGLIGIBLE * usual))
     alone = tuple(single) if len(traces) > 1 else ()
     given = tuple(_given(traces, equations, model, length))
     return Question(equations, tuple(common), alone, tuple(local), (*_readings(moving),), given)
@@ -423,7 +424,7 @@ def _given(
     """Errors of the parameters, and constant forces in each record."""
     for p in model.free_parameters:
         std = _believed(p)
-        least = RELATIVE * max(abs(p.value), std)
+        least = NEGLIGIBLE * max(abs(p.value), std)
         yield Candidate("bias", (p.name,), p.unit, std, least)
     for r, t in product(equations, traces):
         usual = float(np.nanstd(t.values[r.target])) / length + 1e-12
@@ -433,7 +434,7 @@ def _given(
 def _believed(p: Parameter) -> float:
     """How far a parameter may be from its prior mean; without a prior it may be anything."""
     if p.prior_std is None:
-        return max(abs(p.value), RELATIVE) / RELATIVE
+        return max(abs(p.value), NEGLIGIBLE) / NEGLIGIBLE
     return max(p.prior_std, LEAST_PRIOR * abs(p.prior_mean or p.value))
 
 
@@ -486,7 +487,7 @@ def _common_factor(fit: Fit, name: str, own: Sequence[Parameter]) -> System:
     known = (prior - fit.covariance[np.ix_(rows, rows)]) / np.outer(mean, mean)
     away = np.array([fit.values[p.name] for p in own]) / mean - 1.0
     weights = np.linalg.pinv(known, hermitian=True).sum(axis=0)
-    one = Candidate("lost", (name,), "1", 1.0, RELATIVE)
+    one = Candidate("lost", (name,), "1", 1.0, NEGLIGIBLE)
     return System.plain([one], weights.sum().reshape(1, 1), np.array([-weights @ away]))
 
 
@@ -498,7 +499,7 @@ def _acts_through(trace: Trace, model: Model, parameter: str, name: str) -> bool
         slopes = (r.slope(values, trace.times, parameter) for r in _nominal(model))
         return max(float(np.abs(one).max()) for one in slopes)
 
-    return moves(off) < RELATIVE * moves(trace.values)
+    return moves(off) < NEGLIGIBLE * moves(trace.values)
 
 
 def between_runs(fit: Fit) -> tuple[Finding, ...]:
@@ -523,7 +524,7 @@ def between_runs(fit: Fit) -> tuple[Finding, ...]:
     series = [record.name for record in fit.dataset if not record.independent]
     units = {n: "1" if fit.values[n] else fit.model.parameter(n).unit for n in fit.names}
     faults = [
-        Candidate("run", (name,), unit, 1.0, RELATIVE, record=record)
+        Candidate("run", (name,), unit, 1.0, NEGLIGIBLE, record=record)
         for record, (name, unit) in product(series, units.items())
     ]
     across = np.concatenate(own)

@@ -24,13 +24,14 @@ from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.misfit import in_words
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.evidence.residual_forces import LEAST_WHITE, ResidualForces, Series, let_in
-from oed_sysid.evidence.traces import LEAST, RELATIVE
+from oed_sysid.evidence.traces import LEAST
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.disturbances import Place, places
 from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import FEW, NEAR, FilteredSolution, Iterate, solve_filtered
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
 from oed_sysid.likelihood.random_forces import begun, likeliest_decade, solved
+from oed_sysid.runtime.constants import NEGLIGIBLE
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text
 from oed_sysid.text.units import shown_unit
 
@@ -292,7 +293,7 @@ class Evidence:
         ahead by more than what is immaterial.
         """
         exact = self.place.stage == "kinematics"
-        return -round(self.gain * (1.0 - RELATIVE * exact)), self.place.stage != "force"
+        return -round(self.gain * (1.0 - NEGLIGIBLE * exact)), self.place.stage != "force"
 
     @property
     def reach(self) -> float:

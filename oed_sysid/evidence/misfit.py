@@ -216,8 +216,8 @@ def _worst(windows: Sequence[np.ndarray], dataset: Dataset) -> tuple[str, float,
     return best
 
 
-# Values of an input that are classes of their own, and classes where there are more.
-VALUES, CLASSES = 7, 5
+# Values of an input that are classes of their own, at most, and classes where there are more.
+CLASSES = 5
 
 
 class ByMotion:
@@ -321,7 +321,7 @@ def _share(rows: np.ndarray, labels: np.ndarray) -> float:
 def _classes(column: np.ndarray) -> np.ndarray:
     """Class of every row, ``(n_rows,)``, in ascending order of the signal; none of them empty."""
     values, labels = np.unique(column, return_inverse=True)
-    if len(values) > VALUES:
+    if len(values) > CLASSES:
         edges = np.quantile(column, np.arange(1, CLASSES) / CLASSES)
         _, labels = np.unique(np.searchsorted(edges, column), return_inverse=True)
     return np.asarray(labels).ravel()

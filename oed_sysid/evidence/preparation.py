@@ -30,9 +30,10 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
-from oed_sysid.evidence.traces import LEAST, RELATIVE
+from oed_sysid.evidence.traces import LEAST
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.noise_levels import credible_levels, signal_spread
+from oed_sysid.runtime.constants import NEGLIGIBLE
 
 # Share of a record that is learnt from, and least samples of either part.
 LEARNT = 0.6
@@ -192,7 +193,7 @@ def _strides(train: Dataset, validation: Dataset | None, enough: int) -> list[in
     if wanted < 2:
         return whole
     noise, _ = credible_levels(train)
-    allowed = np.maximum(WORTH_TELLING * noise, RELATIVE * signal_spread(train))
+    allowed = np.maximum(WORTH_TELLING * noise, NEGLIGIBLE * signal_spread(train))
     for count in range(wanted, 1, -1):
         found = strides(count)
         if np.all(_bend(train, found) <= allowed):

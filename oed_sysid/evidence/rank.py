@@ -24,14 +24,11 @@ from oed_sysid.likelihood.fit import ALIKE, MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.physics import Effect
 from oed_sysid.physics.variants import BY_RECORD
+from oed_sysid.runtime.constants import IMMATERIAL, MATERIAL
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_text
 
 # Candidates, and where none is claimed pairs, that are refitted in each round.
 N_REFITS = 7
-# Share of the best statistic below which a candidate is no rival in this round.
-SHARE = 0.1
-# Share of the score statistic that a refit has to reach before no other size is begun from.
-REACHED = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,8 +312,11 @@ def refitted(
 
 
 def hopeful(refit: Refit, best: float) -> bool:
-    """Whether a refit may be claimed: validation records rarely say more than the training."""
-    return 2.0 * refit.gain > refit.needed and refit.gain > SHARE * best
+    """Whether a refit may be claimed: validation records rarely say more than the training.
+
+    An immaterial share of the best statistic makes no rival in this round.
+    """
+    return 2.0 * refit.gain > refit.needed and refit.gain > IMMATERIAL * best
 
 
 def pairs(study: Study, fit: FilteredSolution, ranking: Ranking) -> tuple[Refit, ...]:
@@ -367,7 +367,8 @@ def refit(
     scored = [_with_room(score) for score in scored]
     effects = (*study.effects_of(fit), *(score.effect for score in scored))
     best: FilteredSolution | None = None
-    reached = fit.objective - REACHED * max(score.statistic for score in scored)
+    # No other size is begun from once a material share of the score statistic is reached.
+    reached = fit.objective - MATERIAL * max(score.statistic for score in scored)
     for start, free in _begins(near or fit, scored, needed, beside=near is not None):
         steps = 25 if free else 6
         found = study.estimate(effects, start, fit, update_noise=free, max_iterations=steps)

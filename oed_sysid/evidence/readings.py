@@ -38,7 +38,8 @@ from oed_sysid.evidence.contrasts import (
 from oed_sysid.evidence.corrections import undo
 from oed_sysid.evidence.relations import READINGS, Relation
 from oed_sysid.evidence.result import Correction
-from oed_sysid.evidence.traces import RELATIVE, Trace, units_of
+from oed_sysid.evidence.traces import Trace, units_of
+from oed_sysid.runtime.constants import NEGLIGIBLE
 
 
 def diagnosed(traces: Sequence[Trace], question: Question) -> tuple[list[Found], Result]:
@@ -76,7 +77,7 @@ def _as_units(one: Found, units: Mapping[str, str]) -> list[Found]:
         Found(Candidate("unit" if factor > 0.0 else "sign", names, meaning=meaning), factor)
         for factor, meaning in factors
         # What may be no effect at all is no other unit.
-        if abs(by - factor) < max(RELATIVE * abs(by), 3.0 * error) and 3.0 * error < abs(by)
+        if abs(by - factor) < max(NEGLIGIBLE * abs(by), 3.0 * error) and 3.0 * error < abs(by)
     ]
     return [replace(reading, gain=one.gain) for reading in near[:1]]
 

@@ -26,12 +26,12 @@ from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.score_test import Scored
 from oed_sysid.likelihood.smoother import smoothable
+from oed_sysid.runtime.constants import IMMATERIAL
 from oed_sysid.runtime.display import as_dict
 
-# Smallest force admitted, as a share of its unit: where none was found one may have acted all the
-# same. Smallest white noise of a sensor, in the same way: a level that colour has taken over would
+# Smallest white noise of a sensor, as a share of its unit: a level that colour has taken over would
 # make one sensor the whole truth.
-LEAST_FORCE, LEAST_WHITE = 0.1, 0.5
+LEAST_WHITE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,8 @@ def let_in(
     # A sea, or noise of a logged input, stands in the place of forces.
     more = [place for place in unit.places if place not in noise.places]
     noise = noise.with_places(more, [unit.level(place)[1] for place in more])
-    least = [LEAST_FORCE * unit.level(place)[0] for place in noise.places]
+    # Where no force was found one may have acted all the same.
+    least = [IMMATERIAL * unit.level(place)[0] for place in noise.places]
     noise = replace(
         noise,
         white=np.maximum(noise.white, LEAST_WHITE * unit.white),

@@ -69,8 +69,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import bdtrc, ndtri, pdtrc, pdtri
 
+from oed_sysid.data.record import MINIMUM_SAMPLES
 from oed_sysid.evidence.chance import FALSE_CLAIMS
-from oed_sysid.evidence.traces import LEAST, RELATIVE, Trace, fast_noise
+from oed_sysid.evidence.traces import LEAST, Trace, fast_noise
 from oed_sysid.likelihood.noise_levels import (
     SPIKE,
     Runs,
@@ -79,12 +80,12 @@ from oed_sysid.likelihood.noise_levels import (
     robust_deviation,
     surely_beyond,
 )
-from oed_sysid.runtime.constants import MATERIAL
+from oed_sysid.runtime.constants import MATERIAL, NEGLIGIBLE
 
 # Robust deviations from which on tails are counted.
 TAIL = 3.5
 # Samples on either side of a step that tell level and slope.
-SIDE = 5
+SIDE = MINIMUM_SAMPLES
 # Samples around a group or a step that say what is usual.
 AROUND = 5 * SIDE
 # Samples of the longest group; what stays longer is a step.
@@ -213,7 +214,7 @@ class Signal:
         self.alpha = FALSE_CLAIMS / shared
         self.reach = float(np.subtract(*np.quantile(self.series, [0.98, 0.02])))
         # The least size that is material.
-        self.least = max(RELATIVE * self.reach, 4.0 * self.step if self.coarse else 0.0)
+        self.least = max(NEGLIGIBLE * self.reach, 4.0 * self.step if self.coarse else 0.0)
 
     def stopped(self) -> Iterator[tuple[str, Stopped]]:
         """Kinds of fault and what stopped the signal, until nothing more can be said of it."""

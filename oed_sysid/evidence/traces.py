@@ -20,14 +20,12 @@ import numpy as np
 from oed_sysid.data.record import GAP, Record
 from oed_sysid.evidence.relations import STANDARD_UNITS
 from oed_sysid.likelihood.noise_levels import fast_level
+from oed_sysid.runtime.constants import IMMATERIAL
 
-# What is below this share of a signal is immaterial.
-RELATIVE = 0.01
 # Fewer samples have no usual behaviour to differ from.
 LEAST = 20
-# Change of an input from sample to sample that is a step, as a share of its range, and the largest
-# share of such samples; how many samples after one the answer may peak.
-FEW, ANSWERED = 0.1, 3
+# How many samples after a step of an input the answer may peak.
+ANSWERED = 3
 
 
 @dataclass(frozen=True)
@@ -191,9 +189,9 @@ def after_steps(series: np.ndarray) -> np.ndarray:
     whole = np.nan_to_num(series)
     change = np.abs(np.diff(whole))
     # Every change of a command that is held; of one with noise the large ones.
-    for least in (0.0, FEW * np.ptp(whole)):
+    for least in (0.0, IMMATERIAL * np.ptp(whole)):
         steps = np.flatnonzero(change > least)
-        if 0 < steps.size < FEW * series.size:
+        if 0 < steps.size < IMMATERIAL * series.size:
             for after in range(1, ANSWERED + 1):
                 pushed[np.minimum(steps + after, series.size - 1)] = True
             break

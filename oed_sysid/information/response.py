@@ -43,6 +43,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.start_guess import first_state
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import THREE_DIGITS
 
 Run = Experiment | Record
 # Standard deviations of the outputs' noise.
@@ -219,7 +220,7 @@ def _own(model: Model, given: Mapping[str, float] | np.ndarray, base: np.ndarray
 
 # A change of this share of what counts stands for a derivative: of the noise where it is put
 # through a filter, of an effect's size.
-TANGENT = 1e-3
+TANGENT = THREE_DIGITS
 
 
 @dataclass(frozen=True, eq=False)

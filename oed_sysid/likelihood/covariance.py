@@ -67,9 +67,8 @@ from oed_sysid.likelihood.projection import eliminate, inverse_of, project_out, 
 from oed_sysid.likelihood.shooting import Linearisation, Loss, Point, Shooting
 from oed_sysid.likelihood.unknowns import Posed
 from oed_sysid.likelihood.windows import Windows
+from oed_sysid.runtime.constants import NEGLIGIBLE
 
-# Residuals below this share of the noise say nothing about it.
-SILENT = 0.01
 # With so few independent samples that more is lost, no correction helps.
 MOST_LOST = 2.0
 
@@ -349,7 +348,7 @@ class ReducedProblem(Reduced):
     def is_coloured(self) -> bool:
         """Whether residuals count clearly fewer independent samples than they have."""
         # Residuals far below the noise are rounding errors of a simulation, not noise.
-        loud = any(np.nanmax(np.abs(s), initial=0.0) > SILENT for s in self._series)
+        loud = any(np.nanmax(np.abs(s), initial=0.0) > NEGLIGIBLE for s in self._series)
         return loud and is_coloured(self._series)
 
     @property

@@ -17,6 +17,7 @@ from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.laws import Law, laws_of, unresolved
 from oed_sysid.likelihood.whole_runs import WholeRuns, judged_runs
 from oed_sysid.physics.parameters import Parameter
+from oed_sysid.runtime.constants import NEGLIGIBLE
 from oed_sysid.runtime.display import (
     TWO_SIDED_95,
     Figure,
@@ -34,8 +35,6 @@ from oed_sysid.runtime.display import (
 )
 from oed_sysid.text.units import shown_unit
 
-# Multiple of the noise from which residuals are no measure: filtered logs have next to no noise.
-SMOOTHED = 100.0
 # Records that a page draws.
 MOST_DRAWN = 8
 # Correlation of two estimates from which on they can hardly be told apart.
@@ -378,7 +377,7 @@ class Fit(estimate.Estimate):
             worst = max(errors, key=lambda name: errors[name])
             words += f", the least certain {worst} ± {share(errors[worst])} (95 %)"
         words += f"; residuals are {self._misfit:.3g} × noise"
-        if self._misfit > SMOOTHED:
+        if NEGLIGIBLE * self._misfit > 1.0:
             words += (
                 ": the model is far off, or the log was smoothed and shows no noise; read errors "
                 "in units"

@@ -59,7 +59,7 @@ from oed_sysid.likelihood.projection import bounded_step, gain_within
 from oed_sysid.likelihood.shooting import Follows, Linearisation, Point, Shooting
 from oed_sysid.likelihood.unknowns import node_maps
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import RANK_TOLERANCE
+from oed_sysid.runtime.constants import IMMATERIAL, RANK_TOLERANCE, THREE_DIGITS
 
 # Ratio of one length of a step that is tried to the one before.
 SHORTER = 0.4
@@ -67,10 +67,10 @@ SHORTER = 0.4
 CLOSED = 1e-8
 # With disturbance forces: the step that ends the iterations at frozen gain, and those of the exact
 # one, whose equations then serve where it led; and most steps of this.
-FROZEN_TOLERANCE, POLISH_STEPS = 1e-3, 8
+FROZEN_TOLERANCE, POLISH_STEPS = THREE_DIGITS, 8
 # Change of the cost that is none near the end: the rise that the frozen gradient may cause, and the
 # promised gain below which a search without a way on has arrived.
-NEAR = 0.1
+NEAR = IMMATERIAL
 # Where the frozen gradient promises what no step keeps, few trials show it.
 MOST_DAMPING = 10.0
 # Lengths that are tried there; steps after which one looks back, or the likeliest of several starts

@@ -64,6 +64,7 @@ import numpy as np
 from scipy.special import chdtri, ndtr, stdtr
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.record import MINIMUM_SAMPLES
 from oed_sysid.likelihood.between_records import CHANCE, FEWEST_RECORDS, WORTH_TELLING
 from oed_sysid.likelihood.covariance import Peak, clear_peaks
 from oed_sysid.likelihood.departures import (
@@ -92,7 +93,7 @@ from oed_sysid.likelihood.noise_levels import (
     white_levels,
 )
 from oed_sysid.physics.unknown import random_effects
-from oed_sysid.runtime.constants import IMMATERIAL
+from oed_sysid.runtime.constants import IMMATERIAL, NEGLIGIBLE
 from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
 from oed_sysid.text.units import shown_unit
 
@@ -107,11 +108,11 @@ FINER = 4
 # Beyond so many times its scale no value is physical, and none that the records do not show.
 UNPHYSICAL, UNSEEN = 1e8, 1e4
 # A model that leaves this share of the squares about the mean explains nothing.
-BARELY = 0.99
+BARELY = 1.0 - NEGLIGIBLE
 # Samples per unknown that are few.
 FEW = 3.0
-# Lengths of increments as shares of a record; fewer samples than FEWEST say nothing.
-HORIZONS, FEWEST = (0.02, 0.05, 0.125), 10
+# Lengths of increments as shares of a record.
+HORIZONS = (0.02, 0.05, 0.125)
 # What a fit that ended early asks first; with the check at hand `advised` says what it found.
 LOOK = "See what the check of the log says (check, on the command line oed-sysid check)."
 # Where positions are measured, on either side of the origin.
@@ -705,7 +706,7 @@ def _degenerate(fit: Estimate) -> Iterator[Found]:
     if fit.innovations is not None or not _has_numbers(fit):
         return
     motion = _Motion.of(fit)
-    suspects = (motion.count >= FEWEST) & (motion.left >= BARELY * motion.own)
+    suspects = (motion.count >= MINIMUM_SAMPLES) & (motion.left >= BARELY * motion.own)
     if not suspects.any():
         return
     noise, _ = white_levels(fit.dataset)
@@ -740,7 +741,7 @@ def unexplained(fit: Estimate) -> dict[str, float]:
     lags = (0.0, *(HORIZONS if fit.innovations is not None else ()))
     motions = [_Motion.of(fit, lag) for lag in lags]
     least = np.min([np.nan_to_num(one.share, nan=np.inf) for one in motions], axis=0)
-    told = np.isfinite(least) & (motions[0].count >= FEWEST)
+    told = np.isfinite(least) & (motions[0].count >= MINIMUM_SAMPLES)
     shares = np.where(told, least, np.nan)
     return dict(zip(fit.model.output_names, map(float, shares), strict=True))
 

@@ -46,7 +46,7 @@ from scipy.special import chdtri
 
 from oed_sysid.compiled.filtering import FilterPass, filter_kernel
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.record import Record
+from oed_sysid.data.record import MINIMUM_SAMPLES, Record
 from oed_sysid.errors import SimulationError
 from oed_sysid.likelihood.departures import (
     LEVERS,
@@ -77,8 +77,8 @@ KNOTS, LAGS = 5, 3
 FINER, PARTS = 2 * KNOTS - 1, 32
 # What two signals leave of the statistic, over what one of them leaves, to be named both.
 SECOND_LEAVES = 0.7
-# Records drawn to see how large a statistic is by chance, at least and at most: until it is clear.
-FEWEST_DRAWS, DRAWS = 5, 20
+# Records drawn to see how large a statistic is by chance, at most: until it is clear.
+DRAWS = 20
 # How time since the start of a record is called among the signals.
 IN_THE_RUN = "the time in the run"
 STEP = f"{IN_THE_RUN}, a step at "
@@ -348,7 +348,7 @@ class _End:
             for one in self._drawn(rng, {one.place for one in standing}):
                 if one.key in found:
                     found[one.key].append(one.statistic() / one.freedom)
-            if count >= FEWEST_DRAWS and all(one.clear(found[one.key]) for one in standing):
+            if count >= MINIMUM_SAMPLES and all(one.clear(found[one.key]) for one in standing):
                 break
         return {key: max(float(np.mean(few)), 1.0) for key, few in found.items() if few}
 

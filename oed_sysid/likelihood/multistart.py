@@ -31,11 +31,12 @@ from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
+from oed_sysid.runtime.constants import NEGLIGIBLE
 from oed_sysid.runtime.parallel import CellProgress, run_cells
 
 # Twice the log-likelihood may differ by this much among starts that found the same optimum, and at
 # the end of a profile from its quantile: a quarter of a per cent of a 95 % interval.
-SAME_OPTIMUM = 0.02
+SAME_OPTIMUM = 2.0 * NEGLIGIBLE
 
 
 @dataclass(frozen=True)

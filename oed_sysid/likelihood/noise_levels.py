@@ -28,16 +28,16 @@ from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import BEYOND, ROUNDING
+from oed_sysid.runtime.constants import BEYOND, ROUNDING, THREE_DIGITS
 
 # Lowest order of the differences in which white noise is looked for, and the share of one order's
 # level below which the next one's means that motion was seen, not noise.
 LOWEST_ORDER, STILL_FALLING = 3, 0.85
 # Standard error of the logarithm of such a level, times the root of the number of samples.
 DIFFERENCE_ERROR = 1.5
-# White noise below this share of the signal is the last digit of a file, not a sensor; and where
-# no sensor's noise is seen, as in a filtered log, it is not taken to be finer than FINEST_NOISE.
-LAST_DIGIT, FINEST_NOISE = 1e-5, 1e-3
+# White noise below this share of the signal is the last digit of a file, not a sensor. Where no
+# sensor's noise is seen, as in a filtered log, it is not taken to be finer than three digits.
+LAST_DIGIT = 1e-5
 
 
 def white_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
@@ -92,7 +92,7 @@ def credible_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
     levels, seen = white_levels(dataset)
     spread = signal_spread(dataset)
     seen = seen & (levels > LAST_DIGIT * spread)
-    return np.where(seen, levels, np.maximum(levels, FINEST_NOISE * spread)), seen
+    return np.where(seen, levels, np.maximum(levels, THREE_DIGITS * spread)), seen
 
 
 def fast_level(

@@ -62,6 +62,7 @@ from oed_sysid.likelihood.gauss_newton import (
 from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.shooting import Point, Shooting
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import DIFFERENCE_STEP, THREE_DIGITS
 from oed_sysid.text import expressions
 
 _REASONS = {
@@ -74,10 +75,6 @@ _REASONS = {
     "User_Requested_Stop": "interrupted",
     "Infeasible_Problem_Detected": "infeasible",
 }
-
-
-# Share of a standard error by which parameters are moved for the gradient of a filter.
-NEAR = 1e-4
 
 
 def _hessian(at: list[ca.MX], n_rows: int, matrix: ca.MX) -> ca.Function:
@@ -166,7 +163,7 @@ def solve_constrained(
         options |= {
             # Below, differences are rounding; where slopes are worse than that the cost stands
             # still.
-            "ipopt.tol": 0.1 * NEAR,
+            "ipopt.tol": DIFFERENCE_STEP,
             "ipopt.acceptable_tol": 0.1,
             "ipopt.acceptable_iter": 5,
             "ipopt.acceptable_obj_change_tol": 1e-9,
@@ -232,7 +229,7 @@ def _equations(problem: Shooting | Filtered, unknowns: np.ndarray) -> tuple[np.n
         return equations.matrix, equations.right
     base = problem.passes(unknowns, rows=True, gains=True)
     # A program needs the slope of its cost, not the one that holds over a standard error.
-    moved = NEAR * differences(problem, problem.gathered(unknowns, base)[0], unknowns)
+    moved = DIFFERENCE_STEP * differences(problem, problem.gathered(unknowns, base)[0], unknowns)
     return problem.differentiated(unknowns, base, moved)
 
 
@@ -460,7 +457,7 @@ class _Chosen(ast.NodeTransformer):
 
 
 # Distance of a value from its limit, in standard errors, up to which it is on it.
-ACTIVE = 1e-3
+ACTIVE = THREE_DIGITS
 
 
 @dataclass(frozen=True, eq=False)

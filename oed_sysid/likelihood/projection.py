@@ -16,15 +16,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from oed_sysid.runtime.constants import RANK_TOLERANCE
+from oed_sysid.runtime.constants import RANK_TOLERANCE, THREE_DIGITS
 
 # What is left of a signature after projection, as a share of it, or of a statistic after its
 # linearised cause, below which what is estimated does the same.
-ABSORBED = 1e-3
+ABSORBED = THREE_DIGITS
 # Below this share of the largest eigenvalue, a direction of an information is none.
 NOTHING = RANK_TOLERANCE**2
-# ... and is rounding error where a step is solved for: steps go along whatever is more.
-NULL_EIGENVALUE = 1e-13
 
 
 def bounded_step(
@@ -61,11 +59,11 @@ def bounded_step(
     # LAPACK itself: SciPy's checks of its arguments take longer than a small factorization.
     triangle, failed = dpotrf(scaled)
     # Rounding errors, not the data, decide along directions with a smaller pivot.
-    if not failed and np.min(np.diag(triangle)) ** 2 >= 10 * NULL_EIGENVALUE:
+    if not failed and np.min(np.diag(triangle)) ** 2 >= NOTHING:
         step[open_] = scale * dpotrs(triangle, target)[0]
     else:
         values, vectors = np.linalg.eigh(scaled)
-        seen = values > NULL_EIGENVALUE * values[-1]
+        seen = values > NOTHING * values[-1]
         vectors, roots = vectors[:, seen], np.sqrt(values[seen])
         step[open_] = scale * (vectors @ ((vectors.T @ target) / roots**2))
         triangle = roots[:, None] * vectors.T

@@ -58,11 +58,10 @@ from oed_sysid.likelihood.projection import gain_within, score_beside
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import IMMATERIAL
 
 # Share of the white level seen in the high-frequency content that an estimate must leave standing.
 LEAST_SEEN = 0.7
-# ... and the share of that where a sensor is coloured.
-COLOUR_SEEN = 0.1
 # Slow noise of a sensor, over what was declared or its high-frequency content shows, beyond which
 # it is none: noise with correlation 0.9 from sample to sample is at 4 times its high-frequency
 # content, with 0.98 at 10.
@@ -239,7 +238,7 @@ class Setting:
             force=np.array([place not in self.known for place in noise.places], dtype=bool),
             own_times=own_times,
             # ... and most of the high-frequency content may be its own.
-            least_white=np.where(colour, COLOUR_SEEN, 1.0) * self.least_white,
+            least_white=np.where(colour, IMMATERIAL, 1.0) * self.least_white,
             most_colour=self.most_colour,
             times=self.times(dataset),
             seas=seas,

@@ -65,9 +65,6 @@ from oed_sysid.runtime.constants import BEYOND, RANK_TOLERANCE
 from oed_sysid.runtime.display import as_dict
 from oed_sysid.text.units import shown_unit
 
-# Times the widths of departures where commands are given that they have where these answer a
-# disturbance, as a zigzag's do: the largest z of 60 true ones of an AUV was 1.2 times ``BEYOND``.
-ANSWERED = 1.5
 # Runs drawn, the widths that z is in are then known to a tenth; and those at once.
 DRAWS, CHUNK = 120, 20
 
@@ -389,14 +386,16 @@ class WholeRuns:
 
         Runs of sensors alone that are too good tell a level that is declared too large. Where the
         level of a sensor was not declared, it may be the sensor. Commands that answer a disturbance
-        hold runs that they would not hold if they were given: laws are asked in their place.
+        hold runs that they would not hold if they were given: laws are asked in their place. Where
+        commands answer a disturbance, as a zigzag's do, departures are wider than where they are
+        given: the largest of 60 true ones of an AUV was 1.2 times :data:`BEYOND`.
         """
         if side < 0 and self.follows is not None:
             return []
         return [
             one.output
             for one in self.outputs
-            if (self.process_noise and side * one.z > ANSWERED * BEYOND)
+            if (self.process_noise and side * one.z > WORTH_TELLING * BEYOND)
             or (not self.process_noise and side > 0 and one.z > BEYOND and one.declared)
         ]
 

@@ -49,9 +49,10 @@ from oed_sysid.likelihood.gauss_newton import (
 )
 from oed_sysid.likelihood.shooting import Follows, Point, Shooting
 from oed_sysid.likelihood.start_guess import VAGUE
+from oed_sysid.runtime.constants import ROUNDING
 
-# What a start state weighs that stays at its guess.
-HELD = 1e20
+# What a start state weighs that stays at its guess, to rounding of its scale.
+HELD = ROUNDING**-2.0
 # Lengths, in samples, of the windows in the globalisation phase; beyond the
 # last one they triple until they reach the length of a shooting interval.
 LADDER = (2, 4, 10, 30)

@@ -12,9 +12,16 @@ RANK_TOLERANCE = 1e-6
 DIFFERENCE_STEP = 1e-5
 # Standard deviations that normal noise passes once in 16,000 samples.
 BEYOND = 4.0
-# A part matters that is this share of the whole: of noise, of a misfit, of an interval or of the
-# time between samples. And one that does not: of noise, of a tolerance, or of a speed.
+# A part matters that is this share of the whole: of noise, of a misfit, of a statistic, of an
+# interval or of the time between samples. And one that does not: of noise, of a statistic, of a
+# range, of a speed, or of that time (two samples are of one moment).
 MATERIAL, IMMATERIAL = 0.3, 0.1
+# A hundredth that nobody would miss: of a signal, of the width of a limit, of noise or a criterion;
+# and of a nat, within which likelihoods are of one optimum.
+NEGLIGIBLE = 0.01
+# Numbers that agree to three digits are the same to whoever reads them: an iteration that converges
+# slowly ends there, in standard errors, two directions are one, and a change so small is a slope.
+THREE_DIGITS = 1e-3
 # Twice the logarithm of the odds, 20 to 1, from which one explanation is told from another. Halved
 # it is 4 to 1, doubled 400 to 1.
 TOLD_APART = 6.0
