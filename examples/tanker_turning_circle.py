@@ -14,7 +14,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))  # for problems/, read from here
 
 from oed_sysid import load_problem
-from oed_sysid.prediction.structures import average_structures, peak_input
+from problems.kvlcc2.averaging import average_structures, peak_input
 from problems.kvlcc2.captive import captive_tests
 from problems.kvlcc2.structures import (
     HORIZON,

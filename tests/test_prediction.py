@@ -22,9 +22,9 @@ from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics import actuator_offset, sensor_bias
 from oed_sysid.prediction.speed_polar import SailingNames, speed_polar
-from oed_sysid.prediction.structures import Structure, average_structures, ladder, peak_input
 from oed_sysid.prediction.turning_circle import turning_circle
 from oed_sysid.results import new_figure, plot_polar
+from problems.kvlcc2.averaging import Structure, average_structures, ladder, peak_input
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from benchmarks.documents.measured_data import ran
 from benchmarks.documents.page import Numbers, Page
 from benchmarks.harness import named
 from oed_sysid import Dataset, Fit, MultipleShooting, load_problem
-from oed_sysid.prediction.structures import StructureAverage
+from problems.kvlcc2.averaging import StructureAverage
 from problems.kvlcc2.captive import captive_tests
 from problems.kvlcc2.manoeuvring import MMG
 from problems.kvlcc2.mavmm import MAVMM, wake

@@ -18,6 +18,7 @@ from oed_sysid.experiments.base import above_zero, optional, positive
 from oed_sysid.experiments.indices import TurningIndices, turning_indices
 from oed_sysid.experiments.manoeuvres import TurningCircle
 from oed_sysid.experiments.simulation import equilibrium, simulate_batch
+from oed_sysid.likelihood.estimator import check_choice, check_count
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.channels import Output, State
 from oed_sysid.physics.model import Model
@@ -108,10 +109,7 @@ class TurningPrediction:
         return value - half, value + half
 
     def quantities(self, *names: str) -> dict[str, float]:
-        """Quantities at the fitted values, all or the named, by ``"quantity side"``.
-
-        What :func:`~oed_sysid.prediction.structures.average_structures` takes as a purpose.
-        """
+        """Quantities at the fitted values, all or the named, by ``"quantity side"``."""
         chosen = names or tuple(QUANTITIES)
         return {f"{q} {side}": self.value(q, side) for q in chosen for side in self.sides}
 
@@ -289,8 +287,8 @@ def _check(
     """Refuse words and numbers that no turn has."""
     if not set(wanted) <= set(SIDES):
         raise ModelError(f"side is {wanted[0]!r}. Choose starboard, port or both.")
-    if approach not in ("neutral", "amidships"):
-        raise ModelError(f"approach is {approach!r}. Choose neutral or amidships.")
+    check_choice("approach", approach, ("neutral", "amidships"))
+    check_count("n_draws", n_draws, 0)
     owner = "The turning circle"
     positive(owner, "speed", speed, "Give the approach speed in m/s.")
     positive(owner, "rudder", rudder)
@@ -301,8 +299,6 @@ def _check(
         )
     optional(above_zero("Give the length of the ship in m, or None."))(owner, "length", length)
     optional(above_zero("Give rad/s, or None for a rudder that jumps."))(owner, "rate", rate)
-    if n_draws < 0:
-        raise ModelError(f"n_draws is {n_draws}. Give 0 for none, or their number.")
 
 
 def _approach(

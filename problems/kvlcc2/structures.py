@@ -13,9 +13,9 @@ from dataclasses import replace
 
 from oed_sysid import Dataset, Fit, Model, MultipleShooting
 from oed_sysid.baselines import EquationError
-from oed_sysid.prediction.structures import Structure
 from oed_sysid.prediction.turning_circle import turning_circle
 
+from .averaging import Structure
 from .manoeuvring import MMG
 from .mavmm import MAVMM, wake
 from .missing import manoeuvring_effects
