@@ -35,7 +35,7 @@ from yaw_vehicle import TRUE, yaw_data, yaw_model
 
 from benchmarks.spoilt_logs import COPIES as SPOILS
 from benchmarks.spoilt_logs import Act, named_as, replayed, spoil
-from oed_sysid import Experiment, Model, Output, Solver, State, ZigZag, check, simulate
+from oed_sysid import Experiment, Input, Model, Output, Solver, State, ZigZag, check, simulate
 from oed_sysid.cli import main
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.evidence import inputs
@@ -49,11 +49,11 @@ from oed_sysid.evidence.result import Correction
 from oed_sysid.evidence.screens import screen
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.problem import Problem, load_problem
-from oed_sysid.likelihood.departures import CLEAR
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
 from oed_sysid.physics import Force, sensor_bias, sensor_scale
 from oed_sysid.physics.parameters import Parameter
+from oed_sysid.runtime.constants import BEYOND
 
 
 @pytest.fixture(scope="module")
@@ -868,7 +868,7 @@ def test_values_far_from_their_priors_make_a_log_suspect(dives_inputs) -> None: 
     log = LogCheck((), data.names)
     assert with_estimates(log, fit).ok
     first = problem.model.free_parameters[0]
-    moved = fit.model.with_values({first.name: first.prior_mean + 1.2 * CLEAR * first.prior_std})
+    moved = fit.model.with_values({first.name: first.prior_mean + 1.2 * BEYOND * first.prior_std})
     gate = with_estimates(log, replace(fit, model=moved))
     assert [(one.kind, one.signals) for one in gate.serious] == [("far", (first.name,))]
 

@@ -23,8 +23,8 @@ from oed_sysid.runtime.files import private
 
 # The secret of this run, from who starts the server to the script that it executes.
 SECRET = "OED_SYSID_APP_SECRET"
-# Uploads of one session: files, and bytes together.
-MOST_UPLOADS, MOST_BYTES = 500, 400 * 1024**2
+# Uploads of one session, together.
+MOST_BYTES = 400 * 1024**2
 
 
 class NotTrustedError(OedSysidError):
@@ -90,11 +90,10 @@ def is_user(secret: str | None) -> bool:
 
 
 def check_uploads(held: Mapping[str, bytes]) -> None:
-    """Raise :class:`OedSysidError` if a session holds more files than it may."""
+    """Raise :class:`OedSysidError` if the files of a session are larger than they may be."""
     total = sum(map(len, held.values()))
-    if len(held) > MOST_UPLOADS or total > MOST_BYTES:
+    if total > MOST_BYTES:
         raise OedSysidError(
             f"There are {len(held)} files with {total / 1e6:.0f} MB; the page takes up to "
-            f"{MOST_UPLOADS} files with {MOST_BYTES / 1e6:.0f} MB together. Use the command line, "
-            "or leave some out."
+            f"{MOST_BYTES / 1e6:.0f} MB together. Use the command line, or leave some out."
         )

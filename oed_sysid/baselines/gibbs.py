@@ -20,6 +20,7 @@ from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimate import Posterior, Status
 from oed_sysid.likelihood.estimator import check_choice
 from oed_sysid.likelihood.information import autocorrelation
+from oed_sysid.runtime.constants import RANK_TOLERANCE
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +99,6 @@ DRAWS = ("joint", "coordinate")
 
 # Between-chain over within-chain spread up to which chains count as mixed (Vehtari et al. 2021).
 R_HAT_LIMIT = 1.01
-
-
-# A parameter without a prior gets one this wide, in units of what explains the whole target.
-WIDE = 1e3
 
 
 def sample_posterior(
@@ -284,11 +281,12 @@ class GibbsRegression(RegressionEstimator):
         size = float(np.sqrt(np.mean(targets**2))) or 1.0
         # Columns of unit size: chains of like pace, and one width of prior for all.
         units = size / np.sqrt(np.mean(features**2, axis=0))
-        # Known parameters as whitened rows; the others have a wide prior.
+        # Known parameters as whitened rows; the others have a prior so wide, in units of what
+        # explains the whole target, that it tells less than rounding.
         known, means = prior_rows(rows.form.model)
         columns = [rows.form.names.index(name) for name in names]
         weights, aims = known.sum(axis=0)[columns], (known.T @ means)[columns]
-        precision = np.where(weights > 0, (weights * units) ** 2, WIDE**-2)
+        precision = np.where(weights > 0, (weights * units) ** 2, RANK_TOLERANCE**2)
         mean = np.divide(aims, weights**2, out=np.zeros(len(names)), where=weights > 0)
         chains = sample_posterior(
             features * units / size,

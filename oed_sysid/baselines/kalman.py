@@ -23,14 +23,17 @@ from oed_sysid.errors import ModelError, located
 from oed_sysid.likelihood.between_records import CHANCE, WORTH_TELLING
 from oed_sysid.likelihood.disturbances import disturbed_equations
 from oed_sysid.likelihood.estimate import Status
-from oed_sysid.likelihood.estimator import check_choice
-from oed_sysid.likelihood.start_guess import check_channels, measured_columns, measured_states
+from oed_sysid.likelihood.estimator import check_choice, check_count, check_positive
+from oed_sysid.likelihood.start_guess import (
+    VAGUE,
+    check_channels,
+    measured_columns,
+    measured_states,
+)
 from oed_sysid.physics.model import Model
 
 KINDS = ("extended", "unscented")
 LIKELIEST = "likeliest"
-# A measured start state is known this many noise levels well before its first measurement.
-START_SPREAD = 10.0
 # A start value without a prior is known to this share of its magnitude.
 RELATIVE_PRIOR = 0.5
 DIVERGED = Status(
@@ -102,10 +105,8 @@ class JointKalmanFilter(Baseline):
         check_choice("kind", self.kind, KINDS)
         if isinstance(self.process_std, str):
             check_choice("process_std", self.process_std, (LIKELIEST,))
-        if not self.reach > 0:
-            raise ModelError(f"reach is {self.reach}. Give a positive number of deviations.")
-        if self.passes < 1:
-            raise ModelError(f"passes is {self.passes}. Go through the data at least once.")
+        check_positive("reach", self.reach, "Give a positive number of deviations.")
+        check_count("passes", self.passes)
 
     @property
     def name(self) -> str:
@@ -295,7 +296,8 @@ class JointFilter:
         columns = measured_columns(model)
         for position, series in measured_states(model, record).items():
             own[position] = series[0]
-            std[position] = START_SPREAD * self.sigma[columns[position]]
+            # A measured start state is as vague before its first measurement.
+            std[position] = VAGUE * self.sigma[columns[position]]
         z, dz = self.kernel.start(own, record.inputs[0], self._all(values), record.times[0])
         # Memory of actuators and sensors starts in equilibrium with states and parameters.
         shape = np.vstack([dz, np.eye(n_own + n_free)[n_own:]])

@@ -28,7 +28,8 @@ from oed_sysid.data.nmea import sentence_of
 from oed_sysid.data.record import TURN
 from oed_sysid.errors import DataError, library
 from oed_sysid.physics.channels import Channels
-from oed_sysid.text.csv_table import LONGEST_LINE, Table
+from oed_sysid.runtime.constants import LONGEST_LINE
+from oed_sysid.text.csv_table import Table
 from oed_sysid.text.units import dimension, to_si
 
 Sample = tuple[float, dict[str, float]]

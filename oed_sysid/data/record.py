@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike
 
 from oed_sysid.errors import DataError, listed, located
 from oed_sysid.physics.channels import Channels, Input, Output
+from oed_sysid.runtime.constants import IMMATERIAL
 from oed_sysid.runtime.display import as_html, counted
 
 # -- angles that wrap ------------------------------------------------------------------
@@ -41,7 +42,7 @@ TURN = 2.0 * np.pi
 PERIODS = (TURN, 360.0)
 # A jump is a clear wrap if what remains of it after adding the turn is this share of a turn;
 # a signal that moves more than that between samples is too sparse to tell.
-WRAP_SHARE = 0.08
+WRAP_SHARE = IMMATERIAL
 # ... and is not faster than this multiple of what the signal does around it.
 FASTER = 8.0
 # A gap is so many usual steps long.

@@ -28,11 +28,8 @@ from oed_sysid.data.record import (
 )
 from oed_sysid.errors import DataError, located
 from oed_sysid.physics.channels import Channels, Input, Output
-from oed_sysid.runtime.constants import IMMATERIAL
+from oed_sysid.runtime.constants import IMMATERIAL, MATERIAL
 from oed_sysid.text.units import converts, same_unit, to_si
-
-# Switching times of a held command become rows if there are fewer of them than this share of rows.
-SWITCHES_ADDED = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,7 +347,8 @@ class _Manoeuvre:
             changes = signal.times[1:][np.diff(signal.values) != 0.0]
             changes = np.unique(changes[(changes > rows[0]) & (changes < rows[-1])])
             more = self._joined(rows, changes)
-            if more.size <= (1.0 + SWITCHES_ADDED) * rows.size:
+            # They become rows where there are few of them beside those that are there.
+            if more.size <= (1.0 + MATERIAL) * rows.size:
                 rows = more
             else:
                 step = float(np.median(np.diff(rows)))

@@ -37,10 +37,8 @@ import numpy as np
 
 from oed_sysid.design.criteria import NOTHING, AOptimal, Criterion, DOptimal, Measure
 from oed_sysid.errors import DesignError
+from oed_sysid.runtime.constants import NEGLIGIBLE
 
-# Of the log criterion, per parameter of D, to its bound at which weights are optimal: far below
-# what a run is worth.
-GAP_TO_BOUND = 2e-4
 # Runs tried in an exchange, and starts that are exchanged.
 _TRIED = 4
 
@@ -175,7 +173,9 @@ def relaxed(library: Library, costs: np.ndarray) -> Weights:
             ceiling = min(ceiling, value + float(d.max() - w @ d))
             if value > best.value:
                 best = Weights(w / costs, value, ceiling)
-            if ceiling - best.value < GAP_TO_BOUND * scale:
+            # So near their bound, per parameter of D, weights are optimal: a hundredth of the least
+            # that a run has to be worth.
+            if ceiling - best.value < NEGLIGIBLE**2 * scale:
                 break
             # A run of hardly any weight cannot come back unless its slope says so.
             w = np.where((w < 1e-10) & (d < w @ d), 0.0, w)

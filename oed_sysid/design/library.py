@@ -50,8 +50,6 @@ CLOSED = frozenset({"zigzag", "zigzag ahead"})
 ATTITUDES = ("psi", "theta", "phi")
 _RATES = {"psi": "r", "theta": "q", "phi": "p"}
 _KEPT = {"theta": "z"}
-# Beside the largest run of a kind that keeps the limits, one of this share of its size.
-_GENTLER = 0.4
 ZIGZAGS = (5.0, 10.0, 20.0)  # degrees, both of the control and of the attitude
 _PACES = (0.25, 0.6)  # of quick and slow variants, relative to a tenth of the run
 
@@ -475,7 +473,7 @@ class Bench:
         for size, run, share in self.keeping(runs if wave.any() else islice(runs, 1)):
             yield run, share
             if wave.any():
-                yield self.table(name, _GENTLER * size, wave), 1.0
+                yield self.table(name, SIZES[2] * size, wave), 1.0
 
     def table(self, kind: str, size: float, wave: np.ndarray) -> Experiment:
         """Commands of one shape and size."""

@@ -36,7 +36,7 @@ from oed_sysid.design.library import KINDS, Candidate, as_piecewise, candidate_r
 from oed_sysid.design.result import Design, Programme, Standard
 from oed_sysid.design.trial import Search, Task, Trial, held_by
 from oed_sysid.design.vehicles import CHECKED, LimitBounds, draw_models, kept_on
-from oed_sysid.design.waveforms import Levels
+from oed_sysid.design.waveforms import SIZES, Levels
 from oed_sysid.errors import DesignError, OedSysidError, located, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.manoeuvres import Manoeuvre, Piecewise, ZigZag
@@ -45,9 +45,6 @@ from oed_sysid.likelihood.information import Information
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.threads import single_threaded
 
-# Shares of the room between start and limits within which commands are refined: the rest is for
-# vehicles that differ.
-_REFINED_WITHIN = (0.75, 0.5)
 _REFINING = Search(Levels(20), n_starts=2, n_candidates=30, n_steps=10, n_workers=1)
 STANDARD = ("zigzag 10/10", "zigzag 20/20", "circle")
 
@@ -403,7 +400,8 @@ class _Planner:
         coarse = float(pattern.sample_time * np.ceil(coarse / pattern.sample_time - 1e-9))
         expected = self.before(plan, j, np.sqrt(pattern.sample_time / coarse))
         bounds = LimitBounds.of(expected.model, self.limits)
-        for room in _REFINED_WITHIN:
+        # The rest of the room between start and limits is for vehicles that differ.
+        for room in SIZES[1:3]:
             tight = replace(
                 trial, limits=_tightened(self.limits, pattern.initial, room), sample_time=coarse,
                 name=name,

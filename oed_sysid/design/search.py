@@ -32,7 +32,7 @@ from scipy.optimize import linprog
 
 from oed_sysid.design.objective import Objective, Score, Slope
 from oed_sysid.design.waveforms import SIZES, Grid, Shape
-from oed_sysid.runtime.constants import NEGLIGIBLE
+from oed_sysid.runtime.constants import NEGLIGIBLE, THREE_DIGITS
 from oed_sysid.runtime.journal import Journal
 
 
@@ -150,10 +150,8 @@ def _largest(
 _MARGIN = 5e-4
 # Loss of criterion that weighs as much as an excess of the whole width of a limit.
 _PRICE = 300.0
-# Of a step, in shares of the range of the numbers searched: larger ones only cost retries.
-_FIRST_RADIUS, _LARGEST_RADIUS, _SMALLEST_RADIUS = 0.2, 0.5, 2e-3
-# Share of the commands at which further refinements of the best result begin.
-_INWARD = 0.85
+# Of the first step, in shares of the range of the numbers searched: larger ones only cost retries.
+_FIRST_RADIUS = 0.2
 
 
 @dataclass(frozen=True)
@@ -198,7 +196,7 @@ class _Progressed:
                 factor = np.where(turned < 0, 0.6, np.where(turned > 0, 1.3, 1.0))
                 shrunk, grown = gained < 0.3 * predicted, gained > 0.8 * predicted
                 factor = factor * (0.6 if shrunk else 1.4 if grown else 1)
-                self.radius = np.clip(factor * self.radius, _SMALLEST_RADIUS, _LARGEST_RADIUS)
+                self.radius = np.maximum(factor * self.radius, THREE_DIGITS)
                 self.current, self.last_step = trial, step
                 self.merits.append(_merit(trial))
                 return True
@@ -367,7 +365,7 @@ def refine_all(
     best = max(rough, key=lambda score: score.value)
     for number in range(len(begin), len(begin) + 3):
         # From slightly smaller commands other corners come within reach.
-        first, inner = number == len(begin), 0.5 + _INWARD * (best.numbers - 0.5)
+        first, inner = number == len(begin), 0.5 + SIZES[1] * (best.numbers - 0.5)
         start = best if first else objective.score(inner)
         found = refined(number, start, 2 * n_steps)[0] if start.evaluations else None
         best = max(filter(None, (best, found)), key=lambda score: score.value)

@@ -61,7 +61,6 @@ from oed_sysid.evidence.screens import Fault, jitter, marked, screened
 from oed_sysid.evidence.traces import Trace, units_of
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.likelihood.between_records import WORTH_TELLING
-from oed_sysid.likelihood.departures import CLEAR
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.judgement import concerns_of
@@ -69,6 +68,7 @@ from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.likelihood.whole_runs import whole_runs
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import BEYOND
 from oed_sysid.text.expressions import names as names_in
 
 __all__ = [
@@ -380,7 +380,7 @@ def _far(fit: Fit, records: tuple[str, ...]) -> list[Finding]:
         for p in fit.model.free_parameters
         if p.prior_std and p.prior_mean is not None
     }
-    far = {name: size for name, size in away.items() if size > CLEAR}
+    far = {name: size for name, size in away.items() if size > BEYOND}
     row = {"away": ", ".join(f"{name} ({size:.1f})" for name, size in far.items())}
     return [words.said("far", tuple(far), records, row)] if far else []
 

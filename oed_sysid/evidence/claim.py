@@ -32,7 +32,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.evidence.misfit import WHITE_LEVEL
+from oed_sysid.evidence.misfit import are_white
 from oed_sysid.evidence.study import RISE, Prediction, Study, allowed_rise, worse
 from oed_sysid.likelihood.departures import CLEARLY
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
@@ -205,7 +205,7 @@ def independent_share(study: Study, before: FilteredSolution) -> float:
     passes = before.problem.passes(before.point.unknowns, columns=False)
     series = [part.innovations / np.sqrt(part.variances) for part in passes]
     tests = [whiteness(own) for one in series for own in one.T if np.isfinite(own).any()]
-    if all(test.p_value > WHITE_LEVEL for test in tests):
+    if are_white(tests):
         return 1.0
     effective, counted = np.sum([(one.effective_samples, one.n_samples) for one in tests], axis=0)
     return float(effective / counted)

@@ -74,9 +74,10 @@ CORRELATIONS = (0.0, 0.5, 0.8, 0.95)
 BAND, BANDS = 0.5 * math.log(2.0), 4
 # A size beyond this many usual ones is none that such faults have.
 LARGEST = 4.0
-# What an equation may leave: of the changes of its left side, and of what noise makes (power); so
-# far beyond a limit linearised scores mislead.
-UNEXPLAINED, LOUDER = 1.0 / 3.0, 8.0
+# What an equation may leave of the changes of its left side.
+UNEXPLAINED = MATERIAL
+# ... and of what noise makes (power); so far beyond a limit linearised scores mislead.
+LOUDER = 8.0
 # Effort: faults that one log is explained by, and iterations of its fit, at most.
 MOST_FAULTS, SWEEPS = 6, 12
 # Explanations are one group unless the odds between them are those of a false alarm.

@@ -23,7 +23,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.misfit import in_words
 from oed_sysid.evidence.rank import Ranking
-from oed_sysid.evidence.residual_forces import LEAST_WHITE, ResidualForces, Series, let_in
+from oed_sysid.evidence.residual_forces import ResidualForces, Series, let_in
 from oed_sysid.evidence.traces import LEAST
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.disturbances import Place, places
@@ -31,6 +31,7 @@ from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import FEW, NEAR, FilteredSolution, Iterate, solve_filtered
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
 from oed_sysid.likelihood.random_forces import begun, likeliest_decade, solved
+from oed_sysid.likelihood.score_test import LEAST_SEEN
 from oed_sysid.runtime.constants import NEGLIGIBLE
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text
 from oed_sysid.text.units import shown_unit
@@ -342,7 +343,7 @@ class _Bench:
     def __init__(self, fit: FilteredSolution, unit: NoiseModel, pieces: int) -> None:
         model = fit.model
         dataset, initial, local = _cut(fit, pieces)
-        white = np.maximum(fit.noise.white, LEAST_WHITE * unit.white)
+        white = np.maximum(fit.noise.white, LEAST_SEEN * unit.white)
         self.unknown = np.array([output.noise_std is None for output in model.outputs])
         noise = NoiseModel.white_only(white, model.output_names)
         levels = Levels.of(noise, noise, white=self.unknown)

@@ -28,13 +28,15 @@ from oed_sysid.evidence.chance import FALSE_CLAIMS
 from oed_sysid.evidence.study import total_error
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.information import Whiteness, whiteness
-from oed_sysid.likelihood.noise_levels import given_levels
+from oed_sysid.likelihood.laws import KNOTS
+from oed_sysid.likelihood.noise_levels import RARE, given_levels
 from oed_sysid.physics.channels import Input, Output
+from oed_sysid.runtime.constants import IMMATERIAL
 from oed_sysid.runtime.display import as_dict
 from oed_sysid.text.units import shown_unit
 
-# Misfit that is called noise: up to this many times the noise, and white at this level.
-NOISE_LIMIT, WHITE_LEVEL = 1.05, 1e-4
+# Misfit that is called noise: up to this many times the noise.
+NOISE_LIMIT = 1.0 + IMMATERIAL
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +99,7 @@ class OutputMisfit:
     @property
     def is_white(self) -> bool:
         """Whether no record's residual is correlated in time."""
-        return all(test.p_value > WHITE_LEVEL for test in self.tests)
+        return are_white(self.tests)
 
     @property
     def is_noise(self) -> bool:
@@ -126,6 +128,11 @@ class OutputMisfit:
         output="output.name", unit="output.unit", noise="sigma", coverage_95="coverage",
         white="is_white",
     )  # fmt: skip
+
+
+def are_white(tests: Sequence[Whiteness]) -> bool:
+    """Whether chance makes some series of white noise as correlated as these, if rarely."""
+    return all(test.p_value > RARE / len(tests) for test in tests)
 
 
 def _noise_limit(n_samples: int) -> float:
@@ -217,7 +224,7 @@ def _worst(windows: Sequence[np.ndarray], dataset: Dataset) -> tuple[str, float,
 
 
 # Values of an input that are classes of their own, at most, and classes where there are more.
-CLASSES = 5
+CLASSES = KNOTS
 
 
 class ByMotion:

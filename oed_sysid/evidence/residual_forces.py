@@ -24,14 +24,10 @@ from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import inverse_of
-from oed_sysid.likelihood.score_test import Scored
+from oed_sysid.likelihood.score_test import LEAST_SEEN, Scored
 from oed_sysid.likelihood.smoother import smoothable
 from oed_sysid.runtime.constants import IMMATERIAL
 from oed_sysid.runtime.display import as_dict
-
-# Smallest white noise of a sensor, as a share of its unit: a level that colour has taken over would
-# make one sensor the whole truth.
-LEAST_WHITE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +76,7 @@ def let_in(
     least = [IMMATERIAL * unit.level(place)[0] for place in noise.places]
     noise = replace(
         noise,
-        white=np.maximum(noise.white, LEAST_WHITE * unit.white),
+        white=np.maximum(noise.white, LEAST_SEEN * unit.white),
         force=np.maximum(noise.force, least),
     )
     model = old.model.with_values(

@@ -50,7 +50,7 @@ from oed_sysid.text.dimensions import dimension_of
 from oed_sysid.text.units import dimension
 
 # Typical sizes, as shares of the accelerations, inertia and lift seen, and of what signals do.
-SHARE, TENTH = 0.2, 0.1
+SHARE = 0.2
 # Periods that a record holds at least of a periodic force.
 FEWEST_PERIODS = 5.0
 # A lag in samples; the most steps that the register of a delay may hold.
@@ -406,7 +406,7 @@ def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Currents: in the flow where the model has one, else as a drift of its positions."""
     flow = {text: signal for signal, text in model.signals.items() if text in model.state_names}
     angles = set(model.state_names)
-    scale = TENTH * sizes.level.get("u", 1.0)
+    scale = SHARE * sizes.level.get("u", 1.0)
     if {"u", "v", "w"} <= set(flow) and {"phi", "theta", "psi"} <= angles:
         # Columns of the rotation to north, east and down are axes of the body.
         axes = zip(*rotation(("phi", "theta", "psi")), strict=True)

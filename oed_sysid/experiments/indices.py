@@ -13,10 +13,9 @@ from scipy.special import ndtri
 
 from oed_sysid.errors import DataError
 from oed_sysid.experiments.base import FloatArray, Numbers
-from oed_sysid.runtime.constants import BEYOND
+from oed_sysid.runtime.constants import BEYOND, MATERIAL
 from oed_sysid.runtime.display import Report, as_dict, as_text
 
-_SIDE_SHARE = 0.2  # of the largest rudder angle: below, the rudder is on neither side
 _PLATEAU_SHARE = 0.05  # of a leg's angle: within, the rudder still holds it
 # Samples that tell a level or a slope.
 _FEWEST_HELD = 3
@@ -476,7 +475,8 @@ def rudder_legs(
 def _reversals(rudder: FloatArray) -> NDArray[np.intp]:
     """First samples of the rudder on each side."""
     largest = float(np.max(np.abs(rudder)))
-    side = np.where(np.abs(rudder) > _SIDE_SHARE * largest, np.sign(rudder), 0.0)
+    # Less than a material share of the largest angle is on neither side.
+    side = np.where(np.abs(rudder) > MATERIAL * largest, np.sign(rudder), 0.0)
     used = np.flatnonzero(side)
     starts = used[np.flatnonzero(np.diff(side[used], prepend=0.0))]
     if len(starts) < 2:

@@ -66,6 +66,7 @@ from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate_inputs, trajectory_of
 from oed_sysid.experiments.steady import Equilibrium, linearise
 from oed_sysid.information.response import Levels, acting
+from oed_sysid.likelihood.covariance import FEWEST
 from oed_sysid.likelihood.disturbances import Place, chosen_places, with_disturbance_inputs
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_model import NoiseModel, Sea
@@ -136,8 +137,6 @@ SEAS = {"still": 0.0, "calm": 0.01, "moderate": 0.05, "rough": 0.15}
 USUAL_TIME = 2.0
 # Relative width of waves of which only the period is given, about that of swell.
 USUAL_WIDTH = 0.2
-# Shortest time in samples: forces faster than that are white noise to a record.
-_SHORTEST = 4.0
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
@@ -212,7 +211,8 @@ def _in_words(
     """The sensors' noise with the forces of a word, or of levels by equation."""
     word, given = _understood(sea)
     wave, width = given.pop("period", None), given.pop("bandwidth", USUAL_WIDTH)
-    usual = max([USUAL_TIME, *(_SHORTEST * run.sample_time for run in known)])
+    # Forces faster than the fewest samples of a period are white noise to a record.
+    usual = max([USUAL_TIME, *(FEWEST * run.sample_time for run in known)])
     lasting = given.pop("time", usual) if wave is None else wave / (2.0 * np.pi)
     if not lasting > 0 or any(level < 0 for level in given.values()):
         raise DesignError(f"The sea {sea!r} has a level below zero or no time. Correct it.")

@@ -54,6 +54,7 @@ from scipy.special import chdtrc, gammaincc
 from oed_sysid.data.dataset import Record
 from oed_sysid.data.record import sampled_alike
 from oed_sysid.likelihood.between_records import CHANCE, Sources, sources_of
+from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.information import (
     COLOUR_LIMIT,
@@ -68,9 +69,6 @@ from oed_sysid.likelihood.shooting import Linearisation, Loss, Point, Shooting
 from oed_sysid.likelihood.unknowns import Posed
 from oed_sysid.likelihood.windows import Windows
 from oed_sysid.runtime.constants import NEGLIGIBLE
-
-# With so few independent samples that more is lost, no correction helps.
-MOST_LOST = 2.0
 
 
 def sandwich(white: np.ndarray, middle: np.ndarray) -> np.ndarray:
@@ -360,8 +358,9 @@ class ReducedProblem(Reduced):
     def _lost_freedom(self) -> float:
         """How much the fit has shrunk the residuals' variance, by independent samples."""
         count = sum(some for _, some in counted_samples(self._series))
-        # n / (n - p) of least squares, with independent samples for n.
-        return min(count / max(count - self.shooting.n_unknowns, 1.0), MOST_LOST)
+        # n / (n - p) of least squares, with independent samples for n; where these are so few that
+        # more than half is lost, no correction helps.
+        return min(count / max(count - self.shooting.n_unknowns, 1.0), TWOFOLD)
 
     def _of_series(self, *, coloured: bool) -> np.ndarray:
         """Covariance of the summed scores of series, which robust losses leave smaller than H."""

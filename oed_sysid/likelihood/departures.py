@@ -40,20 +40,21 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
+from scipy.special import ndtri
 
 from oed_sysid.compiled.graph import build
 from oed_sysid.compiled.kernels import Kernel, Run, by_unknowns, kernel
 from oed_sysid.data.record import Record
 from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate
 from oed_sysid.likelihood.information import COLOUR_LIMIT
+from oed_sysid.likelihood.noise_levels import RARE
 from oed_sysid.likelihood.projection import project_out, score_beside
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import MATERIAL
+from oed_sysid.runtime.constants import BEYOND, MATERIAL
 
 Departed = TypeVar("Departed", Departure, ActuatorStart)
-# Standard errors from which a departure counts: one output in 10^5 by chance; and those from which
-# one value is not another, or a signal is no noise.
-CLEAR, CLEARLY = 4.5, 3.0
+# Standard errors from which one value is not another, or a signal is no noise.
+CLEARLY = float(-ndtri(RARE))
 
 
 def _slope_before(outputs: np.ndarray, times: np.ndarray) -> np.ndarray:
@@ -275,7 +276,7 @@ def acting_late(record: Record, column: int, by: float) -> Record:
 
 def _clear(fit: Estimate, found: Sequence[Departed]) -> list[Departed]:
     """Departures that are significant, and, where residuals are coloured, worth a word."""
-    clear = [one for one in found if abs(one.size) > CLEAR * one.std]
+    clear = [one for one in found if abs(one.size) > BEYOND * one.std]
     if clear and any(some < COLOUR_LIMIT * n for some, n in fit.effective_samples().values()):
         return [one for one in clear if one.share > MATERIAL]
     return clear

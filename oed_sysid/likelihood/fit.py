@@ -377,6 +377,7 @@ class Fit(estimate.Estimate):
             worst = max(errors, key=lambda name: errors[name])
             words += f", the least certain {worst} ± {share(errors[worst])} (95 %)"
         words += f"; residuals are {self._misfit:.3g} × noise"
+        # Filtered logs have next to no noise, of which residuals are no measure.
         if NEGLIGIBLE * self._misfit > 1.0:
             words += (
                 ": the model is far off, or the log was smoothed and shows no noise; read errors "

@@ -53,6 +53,7 @@ from typing import Any, Self
 import numpy as np
 
 from oed_sysid.compiled.kernels import Blocks
+from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import bounded_step, gain_within
@@ -66,8 +67,10 @@ SHORTER = 0.4
 # A trajectory whose scaled jumps sum to less is continuous; and a share of a cost that is rounding.
 CLOSED = 1e-8
 # With disturbance forces: the step that ends the iterations at frozen gain, and those of the exact
-# one, whose equations then serve where it led; and most steps of this.
-FROZEN_TOLERANCE, POLISH_STEPS = THREE_DIGITS, 8
+# one, whose equations then serve where it led.
+FROZEN_TOLERANCE = THREE_DIGITS
+# Most steps at the exact gain.
+POLISH_STEPS = 8
 # Change of the cost that is none near the end: the rise that the frozen gradient may cause, and the
 # promised gain below which a search without a way on has arrived.
 NEAR = IMMATERIAL
@@ -77,9 +80,6 @@ MOST_DAMPING = 10.0
 # goes on alone; and the fall of the cost over these that is too small to go on for, least and in
 # tolerances: its gradient leads to and fro.
 FEW, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
-# Information of a parameter over that at frozen gain beyond which what the gain adds is rounding
-# that an unstable model amplifies.
-AMPLIFIED = 1.2
 # Step, in standard deviations of the noise's unknowns, by which information is differentiated: ten
 # times as long it leaves a tenth of a nat more, and a very short one drowns in the rounding that an
 # unstable vehicle amplifies.
@@ -359,7 +359,7 @@ def _of_the_filter(problem: Filtered, unknowns: np.ndarray) -> tuple[np.ndarray,
     known = np.arange(problem.layout.levels.start)
     # A vehicle so unstable that moved filters overflow is one whose rounding is amplified.
     usable = all(np.isfinite(part).all() for part in whole)
-    if not usable or (np.diag(whole[0])[known] > AMPLIFIED * np.diag(frozen)[known]).any():
+    if not usable or (np.diag(whole[0])[known] > WORTH_TELLING * np.diag(frozen)[known]).any():
         return frozen, right
     return whole
 

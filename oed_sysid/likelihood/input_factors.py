@@ -26,7 +26,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import OedSysidError
-from oed_sysid.likelihood.departures import CLEAR, CLEARLY, TWOFOLD
+from oed_sysid.likelihood.departures import CLEARLY, TWOFOLD
 from oed_sysid.likelihood.estimate import Estimate, by_name, once_a_fit
 from oed_sysid.likelihood.gauss_newton import Solution, solve, solve_filtered
 from oed_sysid.likelihood.laws import posed_again
@@ -34,6 +34,7 @@ from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.physics.channels import Input
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import BEYOND
 
 # What a log may hold, by the unit that it was read in; only ratios that no guess is off by.
 UNITS: dict[str, tuple[tuple[float, str], ...]] = {
@@ -176,7 +177,7 @@ def _otherwise(fit: Estimate, found: _Values, column: int, channel: Input) -> It
         rival, gain = told
         moved = [n for n in fit.names if n in strange and rival.expected(n, factor)]
         held = tuple(name for name in moved if found.held(name, factor))
-        needed = CLEAR**2 if held or not fit.status.ok else -(CLEARLY**2)
+        needed = BEYOND**2 if held or not fit.status.ok else -(CLEARLY**2)
         if moved and gain > needed and rival.strange(factor) <= certain.strange(factor) - {*moved}:
             values = {name: (fit.values[name], found.nominal[name]) for name in moved}
             yield InputFactor(channel, factor, unit, values, held, gain)

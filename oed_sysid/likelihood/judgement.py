@@ -23,7 +23,7 @@ autocorrelation, not a larger standard deviation.
 *Spikes* and *delays* are found by :mod:`oed_sysid.likelihood.noise_levels` and
 :mod:`oed_sysid.likelihood.departures`.
 
-*Integration.* Root mean square change of the outputs when the step is a quarter, in units of noise.
+*Integration.* Root mean square change of the outputs when the step is halved, in units of noise.
 
 Every kind of concern is a row of :data:`CHECKS`: how it is found, what it takes, and its sentence.
 
@@ -68,7 +68,6 @@ from oed_sysid.data.record import MINIMUM_SAMPLES
 from oed_sysid.likelihood.between_records import CHANCE, FEWEST_RECORDS, WORTH_TELLING
 from oed_sysid.likelihood.covariance import Peak, clear_peaks
 from oed_sysid.likelihood.departures import (
-    CLEAR,
     CLEARLY,
     change_of_outputs,
     clear_departure,
@@ -79,7 +78,7 @@ from oed_sysid.likelihood.departures import (
 from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate, once_a_fit
 from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
 from oed_sysid.likelihood.input_factors import input_factors
-from oed_sysid.likelihood.integration import BIAS, half_step_change, step_change
+from oed_sysid.likelihood.integration import BIAS, step_change
 from oed_sysid.likelihood.laws import departures_beside, laws_of, loss_without, posed_again
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
@@ -93,18 +92,12 @@ from oed_sysid.likelihood.noise_levels import (
     white_levels,
 )
 from oed_sysid.physics.unknown import random_effects
-from oed_sysid.runtime.constants import IMMATERIAL, NEGLIGIBLE
+from oed_sysid.runtime.constants import BEYOND, IMMATERIAL, MATERIAL, NEGLIGIBLE
 from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
 from oed_sysid.text.units import shown_unit
 
 # A fit goes through the verdict as what it is.
 Judged = TypeVar("Judged", bound=Estimate)
-# Wrong noise levels from which intervals are worth a word (they are wrong by the same factor).
-LEVEL_FACTOR = 1.15
-# Change by a quarter of the step, in noise levels, that a trajectory must not show.
-STEP_CHANGE = 0.5
-# Parts of a step in the check: an error of fourth order falls by 256.
-FINER = 4
 # Beyond so many times its scale no value is physical, and none that the records do not show.
 UNPHYSICAL, UNSEEN = 1e8, 1e4
 # A model that leaves this share of the squares about the mean explains nothing.
@@ -318,7 +311,7 @@ def _levels(fit: Estimate) -> Iterator[Found]:
         if slow > 0.0:
             rest = fit.noise_std.get(f"colour of {output.name} level", 0.0)
             error = float(np.hypot(error, rest * (slow / whole) ** 2))
-        if abs(np.log(factor)) < max(CLEAR * error, np.log(LEVEL_FACTOR)):
+        if abs(np.log(factor)) < max(BEYOND * error, np.log1p(MATERIAL)):
             continue
         if factor > 1.0 and departs:
             continue
@@ -415,7 +408,7 @@ def _remember(tests: Sequence[Whiteness], n: int) -> bool:
     """Whether chance seldom makes errors of ``n`` samples so correlated."""
     lag_one = sum(test.lag_one * test.n_samples for test in tests) / n
     chance = len(tests) * min(test.p_value for test in tests)
-    return bool(chance < 2.0 * ndtr(-CLEAR) or abs(lag_one) * np.sqrt(n) > CLEAR)
+    return bool(chance < 2.0 * ndtr(-BEYOND) or abs(lag_one) * np.sqrt(n) > BEYOND)
 
 
 def _process_noise(fit: Estimate) -> Iterator[Found]:
@@ -633,16 +626,12 @@ def _far_outputs(fit: Estimate) -> Iterator[Found]:
 
 def _integration(fit: Estimate) -> Iterator[Found]:
     """Trajectories that depend on the integration step."""
-    # Half the step shows nearly as much, and costs half.
-    if not _has_numbers(fit) or half_step_change(fit).size < 0.5 * STEP_CHANGE:
-        return
-    change = step_change(fit, FINER)
-    if change.size >= STEP_CHANGE:
+    if _has_numbers(fit) and (change := step_change(fit)).size >= MATERIAL:
         stiff = ""
         if fit.model.integrator != "implicit":
             stiff = ", or take Model(integrator='implicit') if some motions die out within a step"
         step = fit.model.step
-        facts = {"finer": step / FINER, "step": step, "stiff": stiff}
+        facts = {"finer": 0.5 * step, "step": step, "stiff": stiff}
         yield Found(change.size, change.output, change.record, facts)
 
 
@@ -771,8 +760,8 @@ def _carried_away(fit: Estimate) -> list[str]:
     begun = {name: value for name, value in fit.nominal.items() if name in fit.model.values}
     stated, gained = _answers(fit)
     at_first, _ = _answers(replace(fit, model=fit.model.with_values(begun)))
-    answered = (stated > CLEAR) & (gained > 0.0)
-    silent = (stated <= CLEAR) & (at_first <= CLEAR) & answered.any()
+    answered = (stated > BEYOND) & (gained > 0.0)
+    silent = (stated <= BEYOND) & (at_first <= BEYOND) & answered.any()
     return [fit.model.output_names[column] for column in np.flatnonzero(answered | silent)]
 
 
@@ -852,10 +841,10 @@ CHECKS = (
         "bound the parameters, or fix those that the records do not show.{cure}",
     ),
     Check(
-        "integration", _integration, f"{STEP_CHANGE:g} noise levels",
+        "integration", _integration, f"{MATERIAL:g} noise levels",
         "The trajectories depend on the integration step: with {finer:g} s instead of "
         "{step:g} s, {signal} of record {record!r} changes by {size:.3g} noise levels "
-        f"(expected below {STEP_CHANGE:g}). Reduce model.step and fit again{{stiff}}; if that "
+        f"(expected below {MATERIAL:g}). Reduce model.step and fit again{{stiff}}; if that "
         "does not help, a force of the model jumps where the state passes some value: make it "
         "continuous.",
     ),
@@ -915,41 +904,41 @@ CHECKS = (
     ),
     Check(
         "delay", partial(_departure, ("late", "acts late")),
-        f"{CLEAR:g} standard errors; see departures.clear_departure",
+        f"{BEYOND:g} standard errors; see departures.clear_departure",
         "The residuals look as if {what}{or} {verb} {value:.3g} ± {error:.2g} s {late} "
         "(expected none). Compare the clocks of "
         "the log, and shift {what}, or add a delay or lag to the model.",
     ),
     Check(
         "offset", partial(_departure, ("off",)),
-        f"{CLEAR:g} standard errors; see departures.clear_departure",
+        f"{BEYOND:g} standard errors; see departures.clear_departure",
         "The residuals look as if {signal}{or} reads {value:.3g} ± {error:.2g} {unit} too {side} "
         "in all records (expected none), and parameters bend to that. Check its zero, or let it be "
         "estimated: sensor_bias of oed_sysid.physics.",
     ),
     Check(
         "scale", partial(_departure, ("scale",)),
-        f"{CLEAR:g} standard errors; see departures.clear_departure",
+        f"{BEYOND:g} standard errors; see departures.clear_departure",
         "The residuals look as if the scale of {signal}{or} were {share:+.2g} ± {doubt:.2g} % off "
         "(expected none), and parameters bend to that. Check its calibration and unit, or let it "
         "be estimated: sensor_scale of oed_sysid.physics.",
     ),
     Check(
         "lever", partial(_departure, tuple(SIDES)),
-        f"{CLEAR:g} standard errors; see departures.clear_departure",
+        f"{BEYOND:g} standard errors; see departures.clear_departure",
         "The residuals look as if {what}{or} were measured {value:.3g} ± {error:.2g} m {side} the "
         "origin of the model (expected at the origin), and parameters bend to that. Find out where "
         "the receiver is, and write its place into the outputs, such as x + a*cos(psi).",
     ),
     Check(
-        "actuator_start", _starts, f"{CLEAR:g} standard errors; see departures.clear_starts",
+        "actuator_start", _starts, f"{BEYOND:g} standard errors; see departures.clear_starts",
         "In {record!r}{others} {effect} did not begin at the first command of "
         "{signal}, but {value:.2g} ± {error:.2g} {unit} beside it, and "
         "parameters bend to that. Let the start of each record be estimated: "
         "unknown_start(effect, std) of oed_sysid.physics, or begin records later.",
     ),
     Check(
-        "noise_level", _levels, f"{CLEAR:g} standard errors and a factor of {LEVEL_FACTOR:g}",
+        "noise_level", _levels, f"{BEYOND:g} standard errors and a factor of {1.0 + MATERIAL:g}",
         "Noise of {signal}: declared {declared:.3g} {unit}, found {found:.3g} ({size:.2f} times, "
         "95 % {low:.2f} to {high:.2f}). {so}",
     ),
@@ -976,7 +965,7 @@ CHECKS = (
     ),
     Check(
         "autocorrelation", _autocorrelations,
-        f"the chance of {CLEAR:g} standard errors (Ljung-Box), or of lag one",
+        f"the chance of {BEYOND:g} standard errors (Ljung-Box), or of lag one",
         "{what} of {signal} are correlated: {n} samples count as {effective:.0f}, expected "
         "{n}. {todo}",
     ),

@@ -68,6 +68,7 @@ from oed_sysid.likelihood.score_test import Scored, Setting
 from oed_sysid.likelihood.smoother import Path, smoothable
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import MATERIAL
 from oed_sysid.runtime.display import as_dict
 from oed_sysid.text import expressions
 
@@ -75,8 +76,6 @@ from oed_sysid.text import expressions
 # is asked alone, and parts of a run between which a force may step.
 KNOTS, LAGS = 5, 3
 FINER, PARTS = 2 * KNOTS - 1, 32
-# What two signals leave of the statistic, over what one of them leaves, to be named both.
-SECOND_LEAVES = 0.7
 # Records drawn to see how large a statistic is by chance, at most: until it is clear.
 DRAWS = 20
 # How time since the start of a record is called among the signals.
@@ -501,8 +500,8 @@ class _Asked:
             return max(((self._of(*one).statistic(), one) for one in sets), default=(0.0, ()))
 
         whole, alone, pair = self.statistic(), best(1), best(2)
-        # Two signals only where they leave clearly less than the better of them.
-        both = whole - pair[0] < SECOND_LEAVES * (whole - alone[0])
+        # Two signals only where the second tells a material share of what the first leaves.
+        both = pair[0] - alone[0] > MATERIAL * (whole - alone[0])
         return Law(self.place, (pair if both else alone)[1], whole, self.freedom, self.needed)
 
 

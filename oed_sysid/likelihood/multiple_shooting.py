@@ -28,7 +28,7 @@ from oed_sysid.likelihood.estimator import (
     check_positive,
 )
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.gauss_newton import FilteredSolution, Progress, Solution, solve
+from oed_sysid.likelihood.gauss_newton import FEW, FilteredSolution, Progress, Solution, solve
 from oed_sysid.likelihood.integration import resolved
 from oed_sysid.likelihood.judgement import concerns_of, with_verdict
 from oed_sysid.likelihood.laws import posed_again
@@ -66,21 +66,13 @@ from oed_sysid.likelihood.windows import check_horizon, solve_windows, wide_star
 from oed_sysid.physics.base import RandomProcess
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.unknown import random_effects
-from oed_sysid.runtime.constants import ROUNDING, TOLD_APART
+from oed_sysid.runtime.constants import MATERIAL, ROUNDING, TOLD_APART
 from oed_sysid.runtime.threads import one_thread
 
-# Mean square misfit, in noise units, from which a start is doubtful, and which a good fit stays
-# below.
-DOUBTFUL, GOOD = 30.0, 4.0
-# Iterations of a white fit after which residuals that are no noise end it where disturbance forces
-# are known from an earlier fit, and the share of the cost that has to be left.
-KNOWN, ENOUGH = 2, 0.7
 # Ends of a white fit that are where it was going.
 ENDED = ("converged", "enough")
 # Ends of a fit whose values are not returned where another fit has ended well.
 FAILED = ("stalled", "diverged", "runaway", "integration", "degenerate")
-# Of two ends the one that converged is taken unless its cost is higher by this factor.
-WORSE = 1.2
 
 Minimiser = Callable[..., Solution]
 
@@ -353,7 +345,8 @@ class MultipleShooting:
         """Iterations and levels of white noise; they end early where process noise may follow."""
         shooting, minimise = task.shooting, self._minimiser(task.shooting)
         carried = task.carried is not None
-        patience = KNOWN if carried else FIRST_STEPS
+        # Soon where disturbance forces are known from an earlier fit.
+        patience = FEW if carried else FIRST_STEPS
         first = partial(minimise, enough=_bent(shooting, patience)) if wanted else minimise
         end = first(shooting, point) if carried else self._solve(shooting, point, first)
         if carried and end.reason == "diverged":
@@ -621,16 +614,15 @@ def _with_noise(end: Solution, estimated: np.ndarray, minimise: Minimiser) -> So
 
 
 def _trusted(begin: float, shooting: Shooting, found: Solution) -> bool:
-    """Whether an end is no doubtful minimum: it began or ended near the records."""
+    """Whether an end is no doubtful minimum: it began or ended where noise may be what is left."""
     if found.reason not in ENDED:
         return found.reason == "interrupted"
-    return begin < DOUBTFUL or shooting.misfit(found.point) < GOOD
+    return min(begin, shooting.misfit(found.point)) < CLEARLY**2
 
 
 def _better(ends: Sequence[Solution]) -> Solution:
     """The best of some ends, with the iterations of all."""
-    least = min(one.cost for one in ends)
-    best = min(ends, key=lambda s: (s.cost > WORSE * least, s.reason not in ENDED, s.cost))
+    best = min(ends, key=lambda s: (s.cost, s.reason not in ENDED))
     return _after(best, *(one for one in ends if one is not best))
 
 
@@ -795,9 +787,10 @@ def _bent(shooting: Shooting, patience: int) -> Callable[[Progress], bool]:
     large = 0.5 * CLEARLY**2 * count
 
     def told(progress: Progress) -> bool:
-        left = progress.cost - max(progress.decrement, 0.0)
-        near = left > ENOUGH * progress.cost
-        return progress.iteration >= patience and near and left > large
+        # Steps that promise less than a material share of the cost leave these residuals.
+        promised = max(progress.decrement, 0.0)
+        near = promised < MATERIAL * progress.cost
+        return progress.iteration >= patience and near and progress.cost - promised > large
 
     return told
 

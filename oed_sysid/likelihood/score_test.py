@@ -58,10 +58,10 @@ from oed_sysid.likelihood.projection import gain_within, score_beside
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import IMMATERIAL
+from oed_sysid.runtime.constants import IMMATERIAL, MATERIAL
 
 # Share of the white level seen in the high-frequency content that an estimate must leave standing.
-LEAST_SEEN = 0.7
+LEAST_SEEN = 1.0 - MATERIAL
 # Slow noise of a sensor, over what was declared or its high-frequency content shows, beyond which
 # it is none: noise with correlation 0.9 from sample to sample is at 4 times its high-frequency
 # content, with 0.98 at 10.

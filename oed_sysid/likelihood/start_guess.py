@@ -19,8 +19,9 @@ from oed_sysid.errors import DataError, ModelError
 from oed_sysid.physics.model import Model
 from oed_sysid.text import expressions
 
-# Samples of the smoothing window: the one with the least noise and bias together is taken.
-WINDOWS = (5, 9, 17, 33, 65)
+# Samples of the smoothing window, each twice as long as the one before: that with the least noise
+# and bias together is taken.
+WINDOWS = tuple(2**k + 1 for k in range(2, 7))
 # What is known of a state before anything is measured, in units of its scale.
 VAGUE = 10.0
 

@@ -10,7 +10,8 @@ RANK_TOLERANCE = 1e-6
 # Step of a difference quotient, in typical sizes: near the cube root of the precision of numbers,
 # where truncation and rounding of a central difference are equally small.
 DIFFERENCE_STEP = 1e-5
-# Standard deviations that normal noise passes once in 16,000 samples.
+# Standard deviations that normal noise passes once in 16,000 samples, and what a fit warns of in as
+# many questions.
 BEYOND = 4.0
 # A part matters that is this share of the whole: of noise, of a misfit, of a statistic, of an
 # interval or of the time between samples. And one that does not: of noise, of a statistic, of a
@@ -28,5 +29,7 @@ TOLD_APART = 6.0
 # No state is this many times its scale, or its SI unit where the scale is smaller (times since 1970
 # are 1e9), nor a sensitivity this many times the noise: it has run away, although it is a number.
 RUNAWAY = 1e12
+# Bytes of a line, a datagram or an expression: longer ones are not what a person or a logger wrote.
+LONGEST_LINE = 1 << 16
 # Of one table or log: more than fits into the memory of most computers.
 TABLE_BYTES = 4 * 1024**3

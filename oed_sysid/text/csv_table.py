@@ -33,7 +33,7 @@ import numpy as np
 
 from oed_sysid.errors import DataError
 from oed_sysid.runtime import files
-from oed_sysid.runtime.constants import TABLE_BYTES
+from oed_sysid.runtime.constants import LONGEST_LINE, TABLE_BYTES
 from oed_sysid.text.units import is_unit, parse_header
 
 # -- one cell of a table ---------------------------------------------------------------
@@ -632,9 +632,8 @@ def _values(path: Path, column: _Column, cells: Sequence[str], rows: list[int]) 
 # -- good files, in blocks ---------------------------------------------------------------
 
 
-# Bytes: no line is longer, nor a datagram; and what is parsed at once.
-LONGEST_LINE, _BLOCK = 1 << 16, 1 << 22
-_WORTH = 1 << 20  # bytes whose reading takes as long as loading a faster reader
+# Bytes that are parsed at once; to read fewer takes no longer than to load a faster reader.
+_BLOCK = 1 << 22
 _BLANK = re.compile(rb"(?<![^,])[ \t\v\f]+(?![^,])")
 _WORDS = re.compile(
     rb"(?i)(?<![^,])[ \t]*(?:%s)[ \t]*(?![^,])"
@@ -803,7 +802,7 @@ def _numbers(column: Any) -> np.ndarray:
 
 def _floats(rows: bytes, width: int) -> np.ndarray:
     """Numbers of rows ``(n_rows, width)``; nothing, and the words for nothing, are NaN."""
-    if (arrow := _arrow() if len(rows) > _WORTH else None) is not None:
+    if (arrow := _arrow() if len(rows) > _BLOCK else None) is not None:
         names = list(map(str, range(width)))
         with suppress(ValueError):  # whatever is unusual: NumPy's reader takes it, or refuses it
             table = arrow.read_csv(

@@ -33,6 +33,7 @@ import casadi as ca
 import numpy as np
 
 from oed_sysid.errors import ModelError
+from oed_sysid.runtime.constants import LONGEST_LINE
 from oed_sysid.text import typeset
 from oed_sysid.text.callables import Function, Table, library, n_arguments
 
@@ -120,8 +121,8 @@ def walk(node: ast.expr, scope: Mapping[str, Any], library: Mapping[str, Callabl
     raise ModelError(f"Expression node {type(node).__name__} is not known.")
 
 
-# Beyond these a text is not what a person wrote, and would exhaust the stack.
-MOST_CHARACTERS, DEEPEST = 20_000, 150
+# Parts within parts: deeper a text is not what a person wrote, and would exhaust the stack.
+DEEPEST = 150
 _INSTEAD = {
     ast.BitXor: "Write ** for a power.",
     ast.Mod: "Write a - b*floor(a/b) for what repeats.",
@@ -159,9 +160,9 @@ def parse(expression: str) -> ast.expr:
 @lru_cache(maxsize=4096)
 def _parse(expression: str) -> ast.expr:
     shown = f"Expression {expression!r:.200}"
-    if len(expression) > MOST_CHARACTERS:
+    if len(expression) > LONGEST_LINE:
         raise ModelError(
-            f"{shown} has {len(expression)} characters, more than {MOST_CHARACTERS}. Name parts of "
+            f"{shown} has {len(expression)} characters, more than {LONGEST_LINE}. Name parts of "
             "it in definitions or signals."
         )
     try:
