@@ -210,16 +210,7 @@ class Disturbed:
         owner, select = self.owner[own], np.eye(n)[own]
         variance = np.append(self.variance, self.colour_variance)[owner]
         variance[np.isin(owner, parts)] = 1.0
-        mix, d_mix = select.T.copy(), {}
-        for j in parts:
-            turned = np.array([np.cos(self.phase[j]), np.sin(self.phase[j])])
-            level = max(float(np.sqrt(self.variance[j])), 1e-150)
-            by_phase = level * np.array([-turned[1], turned[0]])
-            wave = np.flatnonzero(owner == self.owner[j])[:2]
-            mix[j, wave] = np.sqrt(self.variance[j]) * turned
-            for kind, slope in ((SEA_VARIANCE, turned / (2.0 * level)), (SEA_PHASE, by_phase)):
-                d_mix[kind, j] = np.zeros_like(mix)
-                d_mix[kind, j][j, wave] = slope
+        mix, d_mix = self._mixed(select.T.copy(), owner)
         core = self._transitions(lengths, following, owner)
 
         def lifted(mix: np.ndarray, phi: np.ndarray) -> np.ndarray:
@@ -248,6 +239,22 @@ class Disturbed:
         which = np.array([*moving], dtype=np.intc)
         stationary = (mix * variance) @ mix.T
         return Random(stationary, lifted(mix, core[:, 0]), slopes, white, which, changes)
+
+    def _mixed(
+        self, mix: np.ndarray, owner: np.ndarray
+    ) -> tuple[np.ndarray, dict[tuple[int, int], np.ndarray]]:
+        """How parts of waves are mixed, ``(n, n_own)``; derivatives by kind of level and part."""
+        slopes = {}
+        for j in self.parts:
+            turned = np.array([np.cos(self.phase[j]), np.sin(self.phase[j])])
+            level = max(float(np.sqrt(self.variance[j])), 1e-150)
+            by_phase = level * np.array([-turned[1], turned[0]])
+            wave = np.flatnonzero(owner == self.owner[j])[:2]
+            mix[j, wave] = np.sqrt(self.variance[j]) * turned
+            for kind, slope in ((SEA_VARIANCE, turned / (2.0 * level)), (SEA_PHASE, by_phase)):
+                slopes[kind, int(j)] = np.zeros_like(mix)
+                slopes[kind, int(j)][j, wave] = slope
+        return mix, slopes
 
     def _transitions(
         self, lengths: np.ndarray, following: np.ndarray, owner: np.ndarray

@@ -653,13 +653,19 @@ def _judged(
         f"{'does' if len(rivals) == 1 else 'do'} as well.": rivals,
         f"{step.added} before a validation record has confirmed it.": np.isnan(predicted),
     }
-    agree = ", the validation records agree"
     sized = f": {shown}" * bool(kind in EXPLAINED and sizes and not rivals)
-    words = f"{what} is missing{agree * (predicted > 0)}{sized}."
-    if stands_for := "what is still missing" if kind in OPEN else other:
-        words = f"{what} helps{agree * (predicted > 0)}; it may stand for {stands_for}."
+    stands_for = "what is still missing" if kind in OPEN else other
+    words = _helps(what, sized, stands_for, agrees=predicted > 0)
     found = [] if any(absent.values()) else [words]
     return found, [text for text, applies in doubts.items() if applies]
+
+
+def _helps(what: str, sized: str, stands_for: str, *, agrees: bool) -> str:
+    """What a claimed step says, in one sentence."""
+    agree = ", the validation records agree" * agrees
+    if stands_for:
+        return f"{what} helps{agree}; it may stand for {stands_for}."
+    return f"{what} is missing{agree}{sized}."
 
 
 def _not_shown(steps: Sequence[Any], ended: Ranking) -> list[str]:

@@ -316,15 +316,14 @@ def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace
         "more": f" (and {n - 1} more {'jump' if n == 2 else 'jumps'})" * (n > 1),
     }  # fmt: skip
     facts: dict[str, Any] = {"size": size, "unit": ""}
-    correction: Correction | None = Correction("blank", names, rows=rows)
+    sizes = {fault.record: fault.sizes for fault in here} if largest.sizes else {}
     if largest.sizes:
         facts["unit"] = trace.units[names[0]]
-        sizes = {fault.record: fault.sizes for fault in here}
-        correction = Correction("step", names, rows=rows, sizes=sizes)
     elif is_a(kind, "counted"):
         facts = {"size": float(n), "unit": "samples"}
-    if is_a(kind, "as logged"):
-        correction = None
+    done = "step" if largest.sizes else "blank"
+    logged = is_a(kind, "as logged")
+    correction = None if logged else Correction(done, names, rows=rows, sizes=sizes)
     of_step = {"step": "jump", "caught up": "caught up", "moved": "moved"}
     told = ("step", of_step[kind]) if kind in of_step else (kind, kind)
     return said(told[0], names, tuple(rows), words, row=told[1], correction=correction, **facts)

@@ -575,11 +575,8 @@ class Fit(estimate.Estimate):
             if sea.phases is not None:
                 words += f" One wave acts in all, behind that in {sea.places[0]} by a phase."
                 head = (*head, "phase [deg]", "common [% of variance]")
-                rows = [
-                    (*row, f"{np.degrees((sea.phases[p] + np.pi) % (2 * np.pi) - np.pi):.0f}",
-                     f"{100.0 * sea.coherence[p] ** 2:.0f}" if sea.coherence else "100")
-                    for row, p in zip(rows, sea.places, strict=True)
-                ]  # fmt: skip
+                both = zip(rows, sea.common, strict=True)
+                rows = [(*row, f"{angle:.0f}", f"{share:.0f}") for row, (angle, share) in both]
             table = Table(head, rows)
             sections.append(Section("Sea", (words,), (table,), indent=2))
         return sections

@@ -343,10 +343,10 @@ class _End:
     def usual(self, standing: Sequence[_Asked]) -> dict[tuple[str, ...], float]:
         """Mean statistic over its freedom by chance, of all that stands; one at least."""
         rng, found = np.random.default_rng(0), {one.key: list[float]() for one in standing}
+        places = {one.place for one in standing}
         for count in range(1, DRAWS + 1):
-            for one in self._drawn(rng, {one.place for one in standing}):
-                if one.key in found:
-                    found[one.key].append(one.statistic() / one.freedom)
+            for one in (drawn for drawn in self._drawn(rng, places) if drawn.key in found):
+                found[one.key].append(one.statistic() / one.freedom)
             if count >= MINIMUM_SAMPLES and all(one.clear(found[one.key]) for one in standing):
                 break
         return {key: max(float(np.mean(few)), 1.0) for key, few in found.items() if few}
@@ -554,21 +554,18 @@ def _features(
 
     for name in signals[0]:
         columns = [own[name] for own in signals]
-        pooled = np.concatenate(columns)
-        knots, finer = (
-            np.unique(np.quantile(pooled, np.linspace(0, 1, count))) for count in (KNOTS, FINER)
-        )
+        knots, finer = _knots(np.concatenate(columns))
         if len(knots) < 2:
             continue
-        between = ~np.isin(finer, knots)[1:]
+        size = np.std(np.concatenate(columns))
         fades = name in problem.model.input_names
         # All hats but one: they add up to the constant.
         for own, record, column, time in zip(found, problem.records, columns, times, strict=True):
-            scaled = column / np.std(pooled)
+            scaled = column / size
             own += [_hats(column, knots), _lagged(record.times, scaled)]
-            own += [_hats(column, finer)[:, between], time * scaled[:, None]][: 1 + fades]
+            own += [_hats(column, knots, finer), time * scaled[:, None]][: 1 + fades]
         owned(name, len(knots) - 1 + LAGS)
-        owned(name, int(between.sum()), apart=True)
+        owned(name, len(finer), apart=True)
         owned(IN_THE_RUN, (KNOTS - 1) * fades)
     if len(owners) > 1:
         steps = np.arange(1, PARTS) / PARTS if len(into) > 1 else np.zeros(0)
@@ -580,9 +577,21 @@ def _features(
     return [np.hstack(own) for own in found], np.array(owners), np.array(alone)
 
 
-def _hats(series: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """Piecewise linear functions, one at every knot but the first, ``(n_times, n_knots - 1)``."""
-    return np.column_stack([np.interp(series, knots, hat) for hat in np.eye(len(knots))[1:]])
+def _knots(pooled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Knots at quantiles of a signal, and what a finer law has besides, but the first."""
+    few, many = (np.unique(np.quantile(pooled, np.linspace(0, 1, n))) for n in (KNOTS, FINER))
+    return few, np.setdiff1d(many[1:], few)
+
+
+def _hats(series: np.ndarray, knots: np.ndarray, finer: np.ndarray | None = None) -> np.ndarray:
+    """Piecewise linear functions, one at every knot but the first, ``(n_times, n_knots - 1)``.
+
+    Of ``finer`` knots among these in place of them, ``(n_times, n_finer)``.
+    """
+    every = knots if finer is None else np.union1d(knots, finer)
+    wanted = every[1:] if finer is None else finer
+    hats = [np.interp(series, every, every == knot) for knot in wanted]
+    return np.column_stack(hats) if hats else np.zeros((len(series), 0))
 
 
 def _signals(problem: Filtered, record: Record, path: np.ndarray) -> dict[str, np.ndarray]:

@@ -186,6 +186,14 @@ class Sea:
         return {place: 2.0 * level for place, level in (self.levels or {}).items()}
 
     @property
+    def common(self) -> list[tuple[float, float]]:
+        """Of one wave, by place: phase within half a turn, deg, and share of the variance, %."""
+        phases, shares = np.array([*(self.phases or {}).values()]), self.coherence or {}
+        turned = np.degrees((phases + np.pi) % (2.0 * np.pi) - np.pi)
+        share = [100.0 * shares.get(place, 1.0) ** 2 for place in self.places]
+        return list(zip(turned.tolist(), share, strict=True))
+
+    @property
     def is_complete(self) -> bool:
         """Whether nothing is left to estimate."""
         return None not in (self.period, self.bandwidth, self.levels, self.shape)

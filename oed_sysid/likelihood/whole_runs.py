@@ -497,12 +497,9 @@ def judged_runs(fit: Estimate, other: Dataset | None = None, *, unasked: str = "
     granted = _granted(dataset, declared, fit.noise.sensors)
     starts = _starts(fit) if other is None else None
     own = runs = whole_runs(fit.model, dataset, granted[0], starts)
-    if other is not None and fit.noise.seas:
-        begun = tuple(run.shooting.initial_state(run.unknowns, 0) for run in own)
-        sizes = tuple(run.local for run in own)
-        there = replace(fit, dataset=dataset, initial_states=begun, local_values=sizes)
-        fit = replace(fit, noise=with_sea_of_its_records(there))
-    elif other is None and not fit.noise.is_white:
+    if other is not None:
+        fit = _in_another_sea(fit, dataset, own)
+    elif not fit.noise.is_white:
         runs = without_process_noise(fit, granted[0], own) or own
     without, z, usual = rms(runs), np.full(len(declared), np.nan), np.inf
     if dataset.only_tests:
@@ -526,6 +523,16 @@ def judged_runs(fit: Estimate, other: Dataset | None = None, *, unasked: str = "
         unasked,
         usual,
     )
+
+
+def _in_another_sea(fit: Estimate, dataset: Dataset, own: Sequence[WholeRun]) -> Estimate:
+    """The fit with the sea of records that it has not seen, where it has one."""
+    if not fit.noise.seas:
+        return fit
+    begun = tuple(run.shooting.initial_state(run.unknowns, 0) for run in own)
+    sizes = tuple(run.local for run in own)
+    there = replace(fit, dataset=dataset, initial_states=begun, local_values=sizes)
+    return replace(fit, noise=with_sea_of_its_records(there))
 
 
 def _asked(
