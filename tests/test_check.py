@@ -51,7 +51,7 @@ from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
-from oed_sysid.physics import Force, sensor_bias, sensor_scale
+from oed_sysid.physics import Force, actuator_delay, sensor_bias, sensor_scale
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.runtime.constants import BEYOND
 
@@ -788,6 +788,26 @@ def test_a_command_in_place_of_the_feedback_is_a_lag(kind: str, act) -> None:  #
     assert found.ok  # good to know: a model that lacks physics shows the like
     assert as_measured(records, found) == (records, ())
     assert [one.kind for one in found.findings if "fin_command" in one.signals] == [kind]
+
+
+def test_a_declared_delay_is_known() -> None:
+    """A rudder that acts a second after its command, by the model too, is not late.
+
+    A pulse of the command changes the yaw rate two samples later, by K/T less what has decayed.
+    """
+    model = believed_yaw() + actuator_delay("late", "delta", value=1.0, max_delay=1.0, step=0.5)
+    late = yaw_data()
+    ahead = [np.vstack([r.inputs[2:], r.inputs[[-1] * 2]]) for r in late]
+    commanded = Dataset(tuple(replace(r, inputs=u) for r, u in zip(late, ahead, strict=True)))
+    assert check(commanded, model).findings == ()
+    (trace,) = inputs._traces(Dataset((commanded[0],)), model, ())
+    (nominal,) = inputs._nominal(model)
+    values = {name: trace.values[name] for name in nominal.signals}
+    pulse = np.eye(trace.times.size)[10]
+    answer = nominal.along(values, trace.times, {"delta": pulse})
+    assert np.flatnonzero(np.abs(answer) > 1e-9).tolist() == [12]
+    rate, share = TRUE["K"] / TRUE["T"], 0.5 / TRUE["T"]
+    assert answer[12] == pytest.approx(rate * (1.0 - share / 2.0), rel=0.01)
 
 
 def test_noise_of_the_states_is_no_fault_of_an_input() -> None:

@@ -166,6 +166,21 @@ def test_integration_is_of_fourth_order() -> None:
 
 
 @pytest.mark.parametrize("compiled", [True, False])
+def test_what_is_not_taken_from_nodes_goes_on(compiled: bool) -> None:
+    """Own states from nodes at every sample, memory from the step before: the whole run again."""
+    model, times = rich(), 0.1 * np.arange(40)
+    whole = run(model, times, compiled=compiled)
+    machine, nodes = Kernel(model, compiled=compiled), whole.states.copy()
+    assert machine.n_full > machine.n_own
+    nodes[1:, machine.n_own :] = np.nan  # which are not read
+    parts = machine.run(
+        times, commands(times), model.value_vector, nodes,
+        starts=np.arange(40), from_nodes=machine.n_own,
+    )  # fmt: skip
+    np.testing.assert_allclose(parts.states, whole.states, atol=1e-12)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
 def test_segments_join_to_the_continuous_run(compiled: bool) -> None:
     """Segments that start on the trajectory reproduce it; their derivatives chain."""
     model, times = rich(), 0.1 * np.arange(40)
@@ -175,7 +190,7 @@ def test_segments_join_to_the_continuous_run(compiled: bool) -> None:
     nodes = whole.states[starts]
     parts = machine.run(times, inputs, values, nodes, starts=starts, sensitivities=True)
     carried = machine.run(
-        times, inputs, values, nodes[:1], starts=starts, carry=True, sensitivities=True
+        times, inputs, values, nodes[:1], starts=starts, from_nodes=0, sensitivities=True
     )
     np.testing.assert_allclose(parts.outputs, whole.outputs, atol=1e-12)
     np.testing.assert_allclose(parts.ends[:-1], nodes[1:], atol=1e-12)

@@ -322,7 +322,7 @@ class JointFilter:
             self._all(full[n_z:]),
             full[:n_z],
             starts=np.array([0, 1]),
-            carry=True,
+            from_nodes=0,
             sensitivities=True,
         )
         assert run.output_sensitivities is not None

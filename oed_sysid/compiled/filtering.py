@@ -1062,7 +1062,7 @@ class _Part(Kernel):
         nodes: np.ndarray,
         *,
         starts: np.ndarray | None = None,
-        carry: bool = False,
+        from_nodes: int | None = None,
         sensitivities: bool = False,
         n_columns: int | None = None,
     ) -> Run:
@@ -1076,7 +1076,13 @@ class _Part(Kernel):
         width = wide.n_full + self.n_free if sensitivities else 0
         call(self._select, width, columns)
         found = wide.run(
-            times, inputs, values, z, starts=starts, carry=carry, n_columns=width or None
+            times,
+            inputs,
+            values,
+            z,
+            starts=starts,
+            from_nodes=from_nodes,
+            n_columns=width or None,
         )
         kept = [*self._own, *range(wide.n_full, width)]
         by_start, by_end = found.output_sensitivities, found.end_sensitivities

@@ -100,7 +100,7 @@ class Interpreted:
         values: np.ndarray,
         nodes: np.ndarray,
         starts: np.ndarray,
-        carry: bool,
+        from_nodes: int,
         results: tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray, np.ndarray | None],
     ) -> int:
         """Fill the results as the compiled loop does; return -1 or the failing sample."""
@@ -109,7 +109,9 @@ class Interpreted:
         edges = [*starts, n]
         z, identity = nodes[0], None if dy_out is None else np.eye(n_full, dy_out.shape[2])
         for segment, (first, stop) in enumerate(pairwise(edges)):
-            z, s = z if carry else nodes[segment], identity
+            if segment and from_nodes:
+                z = np.append(nodes[segment, :from_nodes], z[from_nodes:])
+            s = identity
             for k in range(first, stop):
                 if not abs(z.sum()) < DIVERGED:
                     return k

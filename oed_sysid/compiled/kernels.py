@@ -165,7 +165,7 @@ class Kernel:
         nodes: np.ndarray,
         *,
         starts: np.ndarray | None = None,
-        carry: bool = False,
+        from_nodes: int | None = None,
         sensitivities: bool = False,
         n_columns: int | None = None,
     ) -> Run:
@@ -180,13 +180,14 @@ class Kernel:
         values : ndarray (n_parameters,)
             All parameter values.
         nodes : ndarray (n_segments, n_full)
-            Full state at the start of each segment; with ``carry`` only the
-            first row is read and the trajectory is continuous, while
-            sensitivities still begin anew at each segment.
+            Full state at the start of each segment; the first row alone where
+            nothing else is taken from nodes.
         starts : ndarray of int (n_segments,), optional
             Index of the first sample of each segment; one segment by default.
-        carry : bool
-            Continue from the end of the previous segment.
+        from_nodes : int, optional
+            How many of the states, the first ones, the segments after the first take from
+            their nodes; the others go on from the end of the segment before. All by default;
+            with none the trajectory is continuous. Sensitivities begin anew at each segment.
         sensitivities : bool
             Also return derivatives.
         n_columns : int, optional
@@ -200,7 +201,8 @@ class Kernel:
             raise ModelError(
                 f"Got {values.shape} parameter values, expected ({self.n_parameters},)."
             )
-        if len(nodes) != (1 if carry else n_segments):
+        from_nodes = self.n_full if from_nodes is None else from_nodes
+        if len(nodes) != (n_segments if from_nodes else 1):
             raise ModelError(f"Got {len(nodes)} node states for {n_segments} segments.")
         y = np.full((n, self.n_outputs), np.nan)
         z = np.full((n, self.n_full), np.nan)
@@ -211,13 +213,13 @@ class Kernel:
             dends = np.empty((n_segments, self.n_full, width))
         if self.library is None:
             failed = interpreted(self.model).run(
-                times, inputs, values, nodes, starts, carry, (z, y, dy, ends, dends)
+                times, inputs, values, nodes, starts, from_nodes, (z, y, dy, ends, dends)
             )
         else:
             h_max = float(self.model.step)
             failed = call(
                 self.library.kernel_run, n, times, inputs, values, h_max, n_segments,
-                starts, nodes, int(carry), z, y, dy, ends, dends,
+                starts, nodes, from_nodes, z, y, dy, ends, dends,
             )  # fmt: skip
         if failed >= 0 and dy is not None:
             dy[failed:] = np.nan

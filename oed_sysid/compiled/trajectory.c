@@ -458,16 +458,17 @@ void kernel_select(int width, const int *columns)
 /* Run segments of one record.
  *
  * times (n), inputs (n x NU), p (NP), starts (n_segments: index of the first
- * sample of each), nodes (n_segments x NZ; with carry only the first is read
- * and each segment starts where the last one ended).
+ * sample of each), nodes (n_segments x NZ; each segment but the first takes only
+ * the first from_nodes states of its own, and goes on from where the last one ended
+ * with the others).
  * Any result may be NULL: z (n x NZ, before the measurement), y (n x NY),
  * dy (n x NY x columns), ends (n_segments x NZ), dends (n_segments x NZ x columns), all NC columns
  * or those of kernel_select.
  * Returns -1, or the first sample at which the state is no longer finite.
  */
 int kernel_run(int n, const double *times, const double *inputs, const double *p, double h_max,
-               int n_segments, const int *starts, const double *nodes, int carry, double *z_out,
-               double *y_out, double *dy_out, double *ends, double *dends)
+               int n_segments, const int *starts, const double *nodes, int from_nodes,
+               double *z_out, double *y_out, double *dy_out, double *ends, double *dends)
 {
     const int with_sensitivities = dy_out != 0 || dends != 0;
     double z[MAX1(NZ)], y[MAX1(NY)];
@@ -476,7 +477,8 @@ int kernel_run(int n, const double *times, const double *inputs, const double *p
     for (int segment = 0; segment < n_segments; ++segment) {
         const int first = starts[segment];
         const int stop = segment + 1 < n_segments ? starts[segment + 1] : n;
-        if (!carry) memcpy(z, nodes + (size_t)segment * NZ, sizeof(double) * NZ);
+        if (segment && from_nodes)
+            memcpy(z, nodes + (size_t)segment * NZ, sizeof(double) * from_nodes);
         if (with_sensitivities) {
             clear_rows(s, NZ);
             for (int i = 0; i < NZ; ++i) s[i][i] = 1.0;
@@ -531,7 +533,7 @@ static void gather_sample(gram_t sum, const row_t *sy, const double *y, const do
 
 /* Run segments of one record and gather the normal equations of each.
  *
- * Arguments as of kernel_run without carry; measured (n x NY), NaN where
+ * Arguments as of kernel_run with whole nodes; measured (n x NY), NaN where
  * missing; weight (NY), inverse standard deviations. Results: gram (n_segments
  * x NG x NG), the sum of [dy r]' [dy r] over the segment's samples, all scaled,
  * r = measured - y; ends, dends as of kernel_run. Returns as kernel_run does.

@@ -108,7 +108,13 @@ class VehicleInformation:
         runner = self.kernel
         z, dz = runner.start(self.own, commands[0], self.values, float(self.times[0]))
         run = runner.run(
-            self.times, commands, self.values, z, starts=self.edges, carry=True, sensitivities=True
+            self.times,
+            commands,
+            self.values,
+            z,
+            starts=self.edges,
+            from_nodes=0,
+            sensitivities=True,
         )
         dy, dends = run.output_sensitivities, run.end_sensitivities
         if not run.ok or dy is None or dends is None or not np.isfinite(dy).all():

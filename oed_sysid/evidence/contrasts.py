@@ -477,13 +477,15 @@ def contrasts(
         relation = relations[index]
         shapes = {k: shape for k, shape in every.items() if shape.keys() & {*relation.names}}
         slopes = _slopes(relation, motion, set().union(*shapes.values()))
+        inner = {n: motion.raw[n] for n in relation.signals}
         target, zero = trace.values[relation.target], np.zeros(trace.times.size)
         # Residual, left side, sampling, candidates, what begins anywhere: each a left side less an
         # integral.
         sampled = relation.sampled(trace.times, right) if relation.is_rate else zero
         pairs = [(target, right), (target, zero), (sampled, zero)]
         for shape in shapes.values():
-            inside = sum((slopes[n] * shape[n] for n in slopes if n in shape), zero)
+            own = {n: shape[n] for n in slopes if n in shape}
+            inside = relation.along(inner, trace.times, own) if own else zero
             pairs.append((shape.get(relation.target, zero), inside))
         begun = [*_begun_anywhere(relation, motion, slopes, (len(faults), places))]
         pairs += [(one.left, one.inside) for one in begun]

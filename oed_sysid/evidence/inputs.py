@@ -110,11 +110,13 @@ def _changes(run: Kernel, shape: tuple[int, int], table: bytes) -> np.ndarray:
     times, own, inputs, free = np.split(columns, edges, axis=1)
     known = dict(zip(model.free_names, free[0], strict=True))
     vector = np.array([known.get(p.name, p.value) for p in model.all_parameters])
-    times, nodes = times[:, 0], own
-    if run.n_full > run.n_own:  # states of effects begin where these say
-        begin = zip(own, inputs, times, strict=True)
-        nodes = np.array([run.start(x, u, vector, t)[0] for x, u, t in begin])
-    ends = run.run(times, inputs, vector, nodes, starts=np.arange(times.size)).ends[:-1]
+    times, nodes = times[:, 0], np.pad(own, ((0, 0), (0, run.n_full - run.n_own)))
+    # What effects remember, of a command that acts late say, goes on through the record.
+    nodes[0], _ = run.start(own[0], inputs[0], vector, times[0])
+    steps = run.run(
+        times, inputs, vector, nodes, starts=np.arange(times.size), from_nodes=run.n_own
+    )
+    ends = steps.ends[:-1]
     changes = (ends[:, : run.n_own] - own[:-1]) / np.diff(times)[:, None]
     # Where it diverges it explains nothing, in numbers that can still be squared.
     changes = np.nan_to_num(changes, nan=1e9, posinf=1e9, neginf=-1e9).clip(-1e9, 1e9)

@@ -109,10 +109,26 @@ class Relation:
         return np.broadcast_to(np.asarray(scope[self.steps[-1][0]], dtype=float), times.shape)
 
     def slope(self, values: Mapping[str, np.ndarray], times: np.ndarray, name: str) -> np.ndarray:
-        """Derivative of the right side by one signal, by central differences, ``(n_times,)``."""
-        series = values[name]
-        h = 1e-4 * (float(np.sqrt(np.mean(series**2))) + 1e-3)
-        up, down = (self({**values, name: series + change}, times) for change in (h, -h))
+        """Derivative of the right side by one signal, ``(n_times,)``."""
+        return self.along(values, times, {name: np.ones(times.size)})
+
+    def along(
+        self, values: Mapping[str, np.ndarray], times: np.ndarray, added: Mapping[str, np.ndarray]
+    ) -> np.ndarray:
+        """Derivative of the right side by a factor of what is added to signals, ``(n_times,)``.
+
+        By central differences of the whole series: what remembers answers later.
+        """
+
+        def size(series: np.ndarray) -> float:
+            return float(np.sqrt(np.mean(series**2)))
+
+        sizes = ((size(values[n]) + 1e-3) / (size(one) + 1e-300) for n, one in added.items())
+        h = 1e-4 * min(sizes)
+        up, down = (
+            self({**values, **{n: values[n] + by * one for n, one in added.items()}}, times)
+            for by in (h, -h)
+        )
         return (up - down) / (2.0 * h)
 
     def level(self, name: str) -> float:
