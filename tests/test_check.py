@@ -855,6 +855,43 @@ def test_an_offset_of_an_input_is_told_and_is_no_delay(seed: int) -> None:
     assert one.size == pytest.approx(0.05, abs=0.0025)
 
 
+def twice_lost(angle: np.ndarray) -> np.ndarray:
+    """The angles with two drop-outs of four samples."""
+    lost = np.isin(np.arange(angle.size), [250, 251, 252, 253, 400, 401, 402, 403])
+    return np.where(lost, 0.0, angle)
+
+
+def stuck_for_a_while(angle: np.ndarray) -> np.ndarray:
+    """The angles without those of twelve seconds."""
+    return np.concatenate([angle[:200], np.full(60, angle[200]), angle[260:]])
+
+
+@pytest.mark.parametrize(
+    ("kind", "n_samples", "spoilt"),
+    [
+        (None, 0, lambda angle: angle),
+        ("frozen", 59, stuck_for_a_while),
+        ("dropouts", 8, twice_lost),
+        ("held", 450, lambda angle: np.repeat(angle[::4], 4)[: angle.size]),
+    ],
+)
+def test_a_measured_input_does_not_repeat_itself(kind, n_samples: int, spoilt) -> None:  # type: ignore[no-untyped-def]
+    """Angles with noise, linear between samples, were measured; commands may stand still."""
+    rng, every = np.random.default_rng(0), patrol_boat.BOAT
+    boat = replace(
+        every, inputs=(replace(every.inputs[0], interpolation="linear"), *every.inputs[1:])
+    )
+    data = patrol_boat.sailings(3, lambda y: spoilt(y + 0.004 * rng.standard_normal(y.size)))
+    faults, _ = inputs._repeated(data, boat)
+    assert [(one.kind, one.rows.size) for one in faults] == [(kind, n_samples)] * 2 * bool(kind)
+    assert inputs._repeated(data, every)[0] == []
+    measured = Dataset(tuple(replace(one, channels=boat.channels) for one in data))
+    found = check(measured, boat)
+    named = [one for one in found.findings if one.kind in inputs.REPEATED]
+    assert [(one.kind, one.suspect) for one in named] == [(kind, kind != "held")] * 2 * bool(kind)
+    assert as_measured(measured, found) == (measured, ())
+
+
 @pytest.mark.parametrize("seed", [5, 7])
 def test_an_input_that_is_stuck_is_told_from_a_late_one(seed: int) -> None:
     """A rudder angle that stands still from the middle on, while the boat goes on turning."""

@@ -283,7 +283,8 @@ def as_measured(dataset: Dataset, found: LogCheck) -> tuple[Dataset, tuple[str, 
     left_out : tuple of str
     """
     here = {*dataset.names}
-    made = [one for one in found.findings if is_a(one.kind, "made") and here & {*one.records}]
+    told = (one for one in found.findings if is_a(one.kind, "made") and here & {*one.records})
+    made = [one for one in told if one.correction]  # inputs stay: a run needs all of them
     if not made:
         return dataset, ()
     words = tuple(

@@ -56,11 +56,12 @@ from oed_sysid.evidence.corrections import ORDER, corrected
 from oed_sysid.evidence.readings import diagnosed
 from oed_sysid.evidence.relations import READINGS, Relation
 from oed_sysid.evidence.result import Correction, Finding, Judged
+from oed_sysid.evidence.screens import Fault, marked, screen
 from oed_sysid.evidence.traces import Trace, fast_noise
-from oed_sysid.evidence.words import Log, judged_row, said
+from oed_sysid.evidence.words import Log, judged_row, said, screened_inputs
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.noise_levels import Runs
+from oed_sysid.likelihood.noise_levels import Runs, white_level
 from oed_sysid.likelihood.projection import score_beside
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_columns, measured_states
 from oed_sysid.physics.channels import Input, State
@@ -73,6 +74,8 @@ from oed_sysid.text.expressions import names as names_in
 LEAST_PRIOR = 0.25
 # What is asked of an input.
 ASKED = ("sign", "unit", "bias", "scale", "delay", "lost")
+# Exact coincidences that no measured input has; at a limit an actuator stays rightly.
+REPEATED = ("held", "frozen", "dropouts")
 
 
 @dataclass(frozen=True)
@@ -154,11 +157,14 @@ def input_findings(
     if not model.inputs:
         return [], [], ""
     beyond = [*_beyond(dataset, model, ranges or {})]
+    faults, measured = _repeated(dataset, model)
+    repeated = [*screened_inputs(faults, measured)]
     traces = _traces(dataset, model, fixes)
     asked = [*product(model.inputs, ASKED)]
     if isinstance(traces, str):
         rows = [Judged(kind, one.name, "not tested", traces) for one, kind in asked]
-        return beyond, rows, f"Signs and units of inputs: {traces}."
+        return [*repeated, *beyond], rows, f"Signs and units of inputs: {traces}."
+    traces = [_without(trace, marked(faults, trace.name, REPEATED)) for trace in traces]
     # A state that follows from others is smoothed over samples, and moves before what moves it.
     derived = [one.name for k, one in enumerate(model.states) if k not in measured_columns(model)]
     unlogged, traces = _unlogged(traces, _nominal(model), model)
@@ -174,7 +180,7 @@ def input_findings(
     findings += [one for one in beyond if named.isdisjoint(one.signals)]
     untimed = f"{', '.join(derived)} is smoothed from what was measured, and tells no moments"
     return (
-        findings,
+        [*repeated, *findings],
         [
             Judged(kind, one.name, "not tested", untimed)
             if derived and kind == "delay"
@@ -183,6 +189,35 @@ def input_findings(
         ],
         "",
     )
+
+
+def _repeated(dataset: Dataset, model: Model) -> tuple[list[Fault], list[Trace]]:
+    """Samples of measured inputs that stand still, drop out or are held, and these inputs.
+
+    An input that is linear between samples and has noise was measured: as of outputs no two
+    samples are equal. A command repeats itself.
+    """
+    levels = dict[str, float]()
+    for k, one in enumerate(model.inputs):
+        level, seen = white_level([record.inputs[:, k] for record in dataset])
+        if one.interpolation == "linear" and seen and level > 0.0:
+            levels[one.name] = level
+    units = {one.name: one.unit for one in model.inputs}
+    measured = [
+        Trace(r.name, r.times, {n: r.input(n) for n in levels}, units, levels) for r in dataset
+    ]
+    shared = len(dataset) * len(levels)
+    faults = [fault for trace in measured for fault in screen(trace, shared)]
+    return [fault for fault in faults if fault.kind in REPEATED], measured
+
+
+def _without(trace: Trace, rows: Mapping[str, np.ndarray]) -> Trace:
+    """The trace without some samples of inputs; ``rows`` by signal, perhaps beyond its end."""
+    values = dict(trace.values)
+    for name, chosen in rows.items():
+        values[name] = values[name].copy()
+        values[name][chosen[chosen < trace.times.size]] = np.nan
+    return replace(trace, values=values)
 
 
 def _unread(unlogged: Sequence[Finding], readings: Sequence[Found]) -> list[Finding]:
@@ -239,10 +274,8 @@ def _unlogged(
         }  # fmt: skip
         findings.append(said(kind, (name,), records, words, row=f"input {kind}"))
         if kind == "frozen":
-            series = left[records[0]].values[name].copy()
-            series[rows] = np.nan
-            values = left[records[0]].values | {name: series}
-            left[records[0]] = replace(left[records[0]], values=values)
+            inside = {name: np.arange(rows.start, rows.stop)}
+            left[records[0]] = _without(left[records[0]], inside)
     return findings, [*left.values()]
 
 

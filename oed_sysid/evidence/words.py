@@ -299,6 +299,16 @@ def screen_findings(
     return [*result, *_noise(dataset, traces, made), *_gaps(traces), *_copies(dataset)]
 
 
+def screened_inputs(faults: Iterable[Fault], traces: Sequence[Trace]) -> Iterator[Finding]:
+    """Findings of samples of inputs that say nothing; a run has no inputs to leave empty."""
+    series = {trace.name: trace for trace in traces}
+    for fault in faults:
+        found = _screened(fault.kind, fault.signal, [fault], series)
+        row = KINDS["input held" if fault.kind == "held" else "input frozen"]
+        changes = row["changes"].format(both=fault.signal)
+        yield replace(found, changes=changes, fix=row["fix"], correction=None)
+
+
 def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace]) -> Finding:
     """Finding of samples of one signal that say nothing, or little, or lie on another level."""
     largest = max(here, key=lambda one: abs(one.amount))

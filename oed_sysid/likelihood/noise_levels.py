@@ -65,16 +65,29 @@ def white_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
     levels, seen = np.full(n_outputs, np.nan), np.zeros(n_outputs, dtype=bool)
     for column in range(n_outputs):
         measured = [r.outputs[:, column] for r in dataset if not r.independent]
-        levels[column] = fast_level(measured, coarse=True)
-        for order in range(LOWEST_ORDER + 1, 13):
-            finer = fast_level(measured, order, coarse=True)
-            if not finer < STILL_FALLING * levels[column]:
-                seen[column] = np.isfinite(finer)
-                break
-            levels[column] = finer
+        levels[column], seen[column] = white_level(measured, coarse=True)
     spread = signal_spread(dataset)
     known = np.isfinite(levels)
     return np.where(known, np.maximum(levels, ROUNDING * spread), spread), seen & known
+
+
+def white_level(parts: Sequence[np.ndarray], *, coarse: bool = False) -> tuple[float, bool]:
+    """Level of the white part of one signal, and whether noise is what one sees.
+
+    Parameters
+    ----------
+    parts : sequence of ndarray
+        Its series in each record.
+    coarse : bool
+        As of :func:`fast_level`.
+    """
+    level = fast_level(parts, coarse=coarse)
+    for order in range(LOWEST_ORDER + 1, 13):
+        finer = fast_level(parts, order, coarse=coarse)
+        if not finer < STILL_FALLING * level:
+            return level, bool(np.isfinite(finer))
+        level = finer
+    return level, False
 
 
 def credible_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
