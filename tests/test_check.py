@@ -892,6 +892,22 @@ def test_a_measured_input_does_not_repeat_itself(kind, n_samples: int, spoilt) -
     assert as_measured(measured, found) == (measured, ())
 
 
+def test_a_speed_from_positions_that_are_sampled_slowly_keeps_its_size() -> None:
+    """Of positions every second, a sway velocity with a period of five seconds."""
+    t = 0.1 * np.arange(600)
+    channels = Model(
+        "drift", (State("y", "m"), State("v", "m/s")), (), (Output("y", "m"),),
+        {"y": "v", "v": "-k*v"}, parameters=(Parameter("k", 0.1, "1/s", prior_std=0.1),),
+    )  # fmt: skip
+    frequency = 2.0 * np.pi / 5.0
+    y = np.where(np.arange(600) % 10 == 0, np.sin(frequency * t) / frequency, np.nan)
+    record = Record("run", t, np.zeros((600, 0)), y[:, None], channels.channels)
+    (trace,) = inputs._trace(record, channels)
+    inside, true = slice(50, -50), np.cos(frequency * t)
+    taken = trace.values[inputs.smooth("v")][inside]
+    assert taken @ true[inside] / np.sum(true[inside] ** 2) == pytest.approx(1.0, abs=0.05)
+
+
 @pytest.mark.parametrize("seed", [5, 7])
 def test_an_input_that_is_stuck_is_told_from_a_late_one(seed: int) -> None:
     """A rudder angle that stands still from the middle on, while the boat goes on turning."""

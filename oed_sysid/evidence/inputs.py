@@ -354,10 +354,11 @@ def _traces(dataset: Dataset, model: Model, fixes: Sequence[Correction]) -> list
 def _trace(record: Record, model: Model) -> Iterator[Trace]:
     """States, inputs and parameters of a record; of a long one its beginning is enough."""
     record = record.window(-np.inf, record.times[: 6 * MOST_BLOCKS][-1])
-    measured = measured_states(model, record)
+    joined = _joined(record)
+    measured = measured_states(model, joined)
     whole = measured | {
         k: guess.series
-        for k, guess in kinematic_states(model, record, measured).items()
+        for k, guess in kinematic_states(model, joined, measured).items()
         # A guess that is lost at some samples would be judged as a wild motion there.
         if guess.rms < model.states[k].scale
     }
@@ -383,6 +384,18 @@ def _trace(record: Record, model: Model) -> Iterator[Trace]:
     units = {channel.name: channel.unit for channel in channels}
     units |= {smooth(state.name): state.unit for state in model.states}
     yield Trace(record.name, record.times, values, units, dict.fromkeys(units, 0.0) | noise)
+
+
+def _joined(record: Record) -> Record:
+    """A record whose outputs are curves between their samples, but in long gaps.
+
+    Rates of straight lines between positions that are sampled slowly make motion smaller.
+    """
+    trace, outputs = Trace.of(record, {}), record.outputs.copy()
+    for name, series in trace.filled(trace.values).items():
+        column = record.channels.output_names.index(name)
+        outputs[:, column] = np.where(trace.usable([name]), series, outputs[:, column])
+    return replace(record, outputs=outputs)
 
 
 def smooth(name: str) -> str:
