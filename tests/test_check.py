@@ -810,6 +810,16 @@ def test_a_declared_delay_is_known() -> None:
     assert answer[12] == pytest.approx(rate * (1.0 - share / 2.0), rel=0.01)
 
 
+def test_noise_of_the_states_is_the_least_walk_of_a_nominal_equation() -> None:
+    """Noise of the yaw rate in its own damping, summed over the samples of each block."""
+    model = believed_yaw()
+    (trace, *_) = inputs._traces(yaw_data(), model, ())
+    (piece,) = contrasts(trace, inputs._nominal(model))
+    slope = (1.0 + 3.0 * TRUE["alpha"] * trace.values["r"] ** 2) / TRUE["T"]
+    level = np.sqrt(np.mean(slope**2)) * trace.noise["r"]
+    assert piece.walk == pytest.approx(level**2 * trace.step * piece.span, rel=0.15)
+
+
 def test_noise_of_the_states_is_no_fault_of_an_input() -> None:
     """Coefficients of a noisy sway velocity come out too small: rudders are no stronger for it."""
     problem = load_problem("remus_6dof")

@@ -520,7 +520,8 @@ def _begun_anywhere(
 def _slopes(relation: Relation, motion: Motion, touched: set[str]) -> dict[str, np.ndarray]:
     """Derivatives of a right side by the signals that a fault touches, or that have noise."""
     inner, trace = {n: motion.raw[n] for n in relation.signals}, motion.trace
-    names = (n for n in relation.asked or inner if n in touched or trace.noise[n] > 0.0)
+    asked = touched & {*(relation.asked or inner)}
+    names = (n for n in inner if n in asked or trace.noise[n] > 0.0)
     return {n: relation.slope(inner, trace.times, n) for n in names}
 
 
