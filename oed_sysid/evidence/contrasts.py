@@ -484,9 +484,9 @@ def contrasts(
         sampled = relation.sampled(trace.times, right) if relation.is_rate else zero
         pairs = [(target, right), (target, zero), (sampled, zero)]
         for shape in shapes.values():
-            own = {n: shape[n] for n in slopes if n in shape}
-            inside = relation.along(inner, trace.times, own) if own else zero
-            pairs.append((shape.get(relation.target, zero), inside))
+            own = {n: shape[n] for n in slopes.keys() & shape.keys()}
+            change = relation.along(inner, trace.times, own)
+            pairs.append((shape.get(relation.target, zero), change))
         begun = [*_begun_anywhere(relation, motion, slopes, (len(faults), places))]
         pairs += [(one.left, one.inside) for one in begun]
         left, inside = (np.column_stack(one) for one in zip(*pairs, strict=True))

@@ -123,6 +123,8 @@ class Relation:
         def size(series: np.ndarray) -> float:
             return float(np.sqrt(np.mean(series**2)))
 
+        if not added:
+            return np.zeros(times.size)
         sizes = ((size(values[n]) + 1e-3) / (size(one) + 1e-300) for n, one in added.items())
         h = 1e-4 * min(sizes)
         up, down = (
