@@ -109,9 +109,8 @@ class Interpreted:
         edges = [*starts, n]
         z, identity = nodes[0], None if dy_out is None else np.eye(n_full, dy_out.shape[2])
         for segment, (first, stop) in enumerate(pairwise(edges)):
-            if segment and from_nodes:
-                z = np.append(nodes[segment, :from_nodes], z[from_nodes:])
-            s = identity
+            node = nodes[segment * (from_nodes > 0)]
+            z, s = np.append(node[:from_nodes], z[from_nodes:]), identity
             for k in range(first, stop):
                 if not abs(z.sum()) < DIVERGED:
                     return k

@@ -197,13 +197,13 @@ class Kernel:
         inputs, nodes = inputs.reshape(len(times), self.n_inputs), nodes.reshape(-1, self.n_full)
         starts = np.ascontiguousarray([0] if starts is None else starts, dtype=np.intc)
         n, n_segments = len(times), len(starts)
-        if values.shape != (self.n_parameters,):
-            raise ModelError(
-                f"Got {values.shape} parameter values, expected ({self.n_parameters},)."
-            )
         from_nodes = self.n_full if from_nodes is None else from_nodes
-        if len(nodes) != (n_segments if from_nodes else 1):
-            raise ModelError(f"Got {len(nodes)} node states for {n_segments} segments.")
+        for what, got, expected in (
+            ("parameter values", values.shape, (self.n_parameters,)),
+            ("node states", len(nodes), n_segments if from_nodes else 1),
+        ):
+            if got != expected:
+                raise ModelError(f"Got {got} {what}, expected {expected}.")
         y = np.full((n, self.n_outputs), np.nan)
         z = np.full((n, self.n_full), np.nan)
         ends = np.full((n_segments, self.n_full), np.nan)

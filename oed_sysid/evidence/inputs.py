@@ -197,11 +197,14 @@ def _repeated(dataset: Dataset, model: Model) -> tuple[list[Fault], list[Trace]]
     An input that is linear between samples and has noise was measured: as of outputs no two
     samples are equal. A command repeats itself.
     """
-    levels = dict[str, float]()
-    for k, one in enumerate(model.inputs):
-        level, seen = white_level([record.inputs[:, k] for record in dataset])
-        if one.interpolation == "linear" and seen and level > 0.0:
-            levels[one.name] = level
+    noise = [
+        white_level(list(series)) for series in zip(*(r.inputs.T for r in dataset), strict=True)
+    ]
+    levels = {
+        one.name: level
+        for one, (level, seen) in zip(model.inputs, noise, strict=True)
+        if one.interpolation == "linear" and seen and level > 0.0
+    }
     units = {one.name: one.unit for one in model.inputs}
     measured = [
         Trace(r.name, r.times, {n: r.input(n) for n in levels}, units, levels) for r in dataset

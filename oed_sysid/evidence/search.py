@@ -8,7 +8,7 @@ runs are worse than those of the model that it was given.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
@@ -287,15 +287,24 @@ def with_alike(state: Standing, ranking: Ranking) -> Standing:
     if not state.added:
         return state
     *others, last = state.added
-    imitated, why = set(ranking.imitated()), f"behind {last.claim.name}"
-    absorbed = [effect for effect in state.left if effect.name in imitated]
-    alike = imitated_by(state.study, state.fit, last.effect, absorbed) if absorbed else ()
-    near = (one for one in state.decisions if TWOFOLD * one.excess > last.claim.excess)
-    behind = {one.name for one in near if one.behind == why}
     known = {*last.group, f"{last.effect.name}{BY_RECORD}"}
-    asked = [one for one in state.left if one.name in {*alike, *behind} - known]
+    names = {*_imitating(state, last, ranking), *_just_behind(state, last)} - known
+    asked = [one for one in state.left if one.name in names]
     rivals = [one.name for one in asked if _replaces(state, last, one)]
     return replace(state, added=(*others, replace(last, group=(*last.group, *rivals))))
+
+
+def _imitating(state: Standing, last: Added, ranking: Ranking) -> Iterable[str]:
+    """Names of effects that free parameters imitate, as the one that was added last."""
+    imitated = set(ranking.imitated())
+    absorbed = [effect for effect in state.left if effect.name in imitated]
+    return imitated_by(state.study, state.fit, last.effect, absorbed) if absorbed else ()
+
+
+def _just_behind(state: Standing, last: Added) -> Iterable[str]:
+    """Names of effects that were passed over behind it, but not far."""
+    near = (one for one in state.decisions if TWOFOLD * one.excess > last.claim.excess)
+    return (one.name for one in near if one.behind == f"behind {last.claim.name}")
 
 
 def _replaces(state: Standing, last: Added, rival: Effect) -> bool:

@@ -242,18 +242,21 @@ def _kinds_of(fault: Candidate) -> tuple[str, ...]:
     return (fault.kind,)
 
 
+def _least_seen(kind: str, name: str, ended: Result | None) -> tuple[float, float]:
+    """From which size on a fault of a signal would have been seen, and how large it can be."""
+    sizes = (
+        (float(of), LARGEST * fault.plausible)
+        for fault, of in (ended.seen if ended is not None else ())
+        if fault.signals == (name,) and kind in _kinds_of(fault)
+    )
+    return min(sizes, default=(np.inf, 0.0))
+
+
 def judged_row(
     kind: str, name: str, unit: str, ended: Result | None, *, related: bool = True
 ) -> Judged:
     """Whether a fault was tested, from which size on, or why it was not."""
-    size, plausible = np.inf, 0.0
-    if ended is not None:
-        sizes = (
-            (float(of), LARGEST * fault.plausible)
-            for fault, of in ended.seen
-            if fault.signals == (name,) and kind in _kinds_of(fault)
-        )
-        size, plausible = min(sizes, default=(size, plausible))
+    size, plausible = _least_seen(kind, name, ended)
     units = {"scale": "1", "delay": "s", "lost": "1", "rate": "1", "drift": f"{unit}/s"}
     of_size = kind not in READ and np.isfinite(size)
     shown = _size(size, units.get(kind, unit), ".1g") if of_size else ""

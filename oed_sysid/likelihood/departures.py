@@ -172,15 +172,20 @@ def _scores(fit: Estimate, parts: Sequence[_Evidence], *, joint: bool) -> Iterat
 
 def asked_of(model: Model) -> list[tuple[tuple[str, ...], str]]:
     """Signals and kinds of the departures that are asked: of outputs, and late inputs."""
-    units = dict.fromkeys(output.unit for output in model.outputs)
-    shared = [tuple(one.name for one in model.outputs if one.unit == unit) for unit in units]
-    shared = [signals for signals in shared if len(signals) > 1]
     return [
         *(((name,), kind) for kind in SHAPES for name in model.output_names),
-        *((signals, "late") for signals in shared),
+        *((signals, "late") for signals in of_one_unit(model)),
         *((positions_of(model), kind) for kind in levers_of(model)),
         *(((name,), "acts late") for name in model.input_names),
     ]
+
+
+def of_one_unit(model: Model) -> list[tuple[str, ...]]:
+    """Outputs of one unit, where there are several: one receiver may have measured them."""
+    found = dict[str, tuple[str, ...]]()
+    for one in model.outputs:
+        found[one.unit] = (*found.get(one.unit, ()), one.name)
+    return [signals for signals in found.values() if len(signals) > 1]
 
 
 def positions_of(model: Model) -> tuple[str, ...]:

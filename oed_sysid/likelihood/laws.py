@@ -36,6 +36,7 @@ filter itself, with innovations :math:`\tilde e` in place of :math:`e` (Bartlett
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -342,14 +343,15 @@ class _End:
 
     def usual(self, standing: Sequence[_Asked]) -> dict[tuple[str, ...], float]:
         """Mean statistic over its freedom by chance, of all that stands; one at least."""
-        rng, found = np.random.default_rng(0), {one.key: list[float]() for one in standing}
+        rng, found = np.random.default_rng(0), defaultdict[tuple[str, ...], list[float]](list)
         places = {one.place for one in standing}
         for count in range(1, DRAWS + 1):
-            for one in (drawn for drawn in self._drawn(rng, places) if drawn.key in found):
+            for one in self._drawn(rng, places):
                 found[one.key].append(one.statistic() / one.freedom)
             if count >= MINIMUM_SAMPLES and all(one.clear(found[one.key]) for one in standing):
                 break
-        return {key: max(float(np.mean(few)), 1.0) for key, few in found.items() if few}
+        drawn = ((one.key, found[one.key]) for one in standing)
+        return {key: max(float(np.mean(few)), 1.0) for key, few in drawn if few}
 
     def _drawn(self, rng: np.random.Generator, places: Container[str]) -> list[_Asked]:
         """Some places, where drawn records tell something of them; none where one is lost."""

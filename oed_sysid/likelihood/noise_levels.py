@@ -393,6 +393,16 @@ def spike_masks(
     return _by_output(whitened, find)
 
 
+def _off_bends(one: _Output, least: float, usual: float, surely: float) -> list[np.ndarray]:
+    """Spikes of slow residuals, whose bends the cubic through the neighbours follows."""
+    off = [_off_cubic(values) for values in one.values]
+    spread = max(robust_deviation(np.concatenate(off)), least)
+    # A transient here and there makes large departures usual.
+    usual = max(usual, np.quantile(np.abs(np.concatenate(one.away)), 0.9) / ndtri(0.95))
+    limit = max(surely, SPIKE)
+    return [size > limit for size in one.sizes(off, usual, spread)]
+
+
 def _outliers(one: _Output, least: float, count: int, chance: float) -> list[np.ndarray]:
     """Spikes among the samples of one output, per record; see :func:`spike_masks`.
 
@@ -410,13 +420,7 @@ def _outliers(one: _Output, least: float, count: int, chance: float) -> list[np.
     off = [values - one.middle for values in one.values]
     slow = max(one.spread, least)
     if slow > 1.1 * usual / BESIDE:
-        # A bend of slow residuals is followed by the cubic through the neighbours; a transient
-        # here and there makes large departures usual.
-        off = [_off_cubic(values) for values in one.values]
-        spread = max(robust_deviation(np.concatenate(off)), least)
-        usual = max(usual, np.quantile(np.abs(np.concatenate(one.away)), 0.9) / ndtri(0.95))
-        limit = max(surely, SPIKE)
-        return [size > limit for size in one.sizes(off, usual, spread)]
+        return _off_bends(one, least, usual, surely)
     if not np.any(np.abs(one.every - one.middle) > surely * slow):
         return [np.zeros(len(values), dtype=bool) for values in off]
     # Neighbours that happen to lie on the other side do not make a spike.
