@@ -39,7 +39,7 @@ from oed_sysid import (
     simulate,
 )
 from oed_sysid.baselines import JointKalmanFilter
-from oed_sysid.cli import SUSPECT, main
+from oed_sysid.cli import NO_RESULT, SUSPECT, main
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.likelihood import multiple_shooting
 from oed_sysid.likelihood.departures import estimate_departures
@@ -841,14 +841,13 @@ def test_few_samples_are_grave(zigzag: Record) -> None:
 def test_command_line_says_what_is_not_usable(
     zigzag: Record, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`fit` on records that the model does not explain says so, below the faults of the log."""
+    """`fit` on records that the model does not explain says so, with a status of its own."""
     rng = np.random.default_rng(5)
     record = replace(noisy(zigzag), outputs=0.1 * rng.standard_normal(zigzag.outputs.shape))
     write_csv(record, tmp_path / "noise.csv")
-    assert main(["fit", "kvlcc2", str(tmp_path / "noise.csv")]) == SUSPECT
+    # A rate of noise may be that of a heading of noise: the log is no more suspect than that.
+    assert main(["fit", "kvlcc2", str(tmp_path / "noise.csv")]) == NO_RESULT
     out = capsys.readouterr().out
-    # A yaw rate of noise is not the derivative of a heading of noise: the log is suspect, too.
-    assert out.startswith("Log suspect: ")
     assert "Not usable: A constant explains" in out
 
 

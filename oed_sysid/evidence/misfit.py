@@ -224,7 +224,7 @@ def _worst(windows: Sequence[np.ndarray], dataset: Dataset) -> tuple[str, float,
 
 
 # Values of an input that are classes of their own, at most, and classes where there are more.
-CLASSES = KNOTS
+VALUES, CLASSES = 7, KNOTS
 
 
 class ByMotion:
@@ -328,7 +328,7 @@ def _share(rows: np.ndarray, labels: np.ndarray) -> float:
 def _classes(column: np.ndarray) -> np.ndarray:
     """Class of every row, ``(n_rows,)``, in ascending order of the signal; none of them empty."""
     values, labels = np.unique(column, return_inverse=True)
-    if len(values) > CLASSES:
+    if len(values) > VALUES:
         edges = np.quantile(column, np.arange(1, CLASSES) / CLASSES)
         _, labels = np.unique(np.searchsorted(edges, column), return_inverse=True)
     return np.asarray(labels).ravel()

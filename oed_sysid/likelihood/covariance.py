@@ -369,7 +369,9 @@ class ReducedProblem(Reduced):
             return self.told.coloured() * self._lost_freedom
         if self.shooting.loss is None:
             return self.told.white()
-        size = np.sqrt(np.nanmean(np.vstack(self.told.errors) ** 2, axis=0))
+        errors = np.vstack(self.told.errors)
+        count = np.maximum(np.isfinite(errors).sum(axis=0), 1)  # of a sensor that was silent none
+        size = np.sqrt(np.nansum(errors**2, axis=0) / count)
         return self.told.white(size) * self._lost_freedom
 
 

@@ -31,7 +31,7 @@ from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts, StartState
 from oed_sysid.likelihood.whole_runs import CHUNK, WholeRun
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import IMMATERIAL, MATERIAL
+from oed_sysid.runtime.constants import MATERIAL
 
 # Mean over a run of drawn over first-order variances, of the same draws, from which (or below whose
 # inverse) first order misleads.
@@ -145,6 +145,8 @@ WAYS = {
 }
 
 Initial = str | StartState
+# Relative standard error of a parameter from which bands are drawn, where it matters for them.
+DRAWN = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -387,7 +389,7 @@ def _poorly_known(model: Model, covariance: np.ndarray) -> bool:
     """Whether some shared parameter's error is too large for a first-order band."""
     errors, shared = np.sqrt(np.diag(covariance)), model.free_parameters
     sizes = np.array([1.0 if p.log else abs(p.value) for p in shared if not p.per_record])
-    return bool(np.any(np.isfinite(errors) & (errors > IMMATERIAL * sizes)))
+    return bool(np.any(np.isfinite(errors) & (errors > DRAWN * sizes)))
 
 
 def _carry(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
