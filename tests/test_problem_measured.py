@@ -96,7 +96,8 @@ def test_the_error_falls_in_the_tanks(tanks_improved: tuple[Improvement, Dataset
     assert len(set(names)) == len(names)
     check = compare({"before": found.base, "after": found.model}, test)
     before, after = (part.prediction.rms["level"] for part in check.models)
-    assert found.remains.kind == "structure missing"  # nothing is called complete
+    # Nothing is called complete: no other signal tells whether the level jumped.
+    assert found.remains.kind in ("structure missing", "not known")
     # Torricelli's law begins at half the error.
     assert after < (0.4 if "linear" in found.base.name else 0.45) * before
 
