@@ -118,25 +118,17 @@ class Sea:
         yield right, f"levels {dict(self.levels or {})}. Give them as zero or above."
         right = self.period is None or 0 < self.period < np.inf
         yield right, f"a period of {self.period} s. Give one above zero."
-        yield (
-            self.bandwidth is None or 0 < self.bandwidth < 2,
-            (
-                f"a bandwidth of {self.bandwidth}. It is a share of the frequency: give one above "
-                "zero and below 2, such as 0.2."
-            ),
-        )
-        yield (
-            self.shape in (None, *SHAPES),
-            (f"the shape {self.shape!r}. Choose {' or '.join(SHAPES)}."),
-        )
+        words = "It is a share of the frequency: give one above zero and below 2, such as 0.2."
+        right = self.bandwidth is None or 0 < self.bandwidth < 2
+        yield right, f"a bandwidth of {self.bandwidth}. {words}"
+        right = self.shape in (None, *SHAPES)
+        yield right, f"the shape {self.shape!r}. Choose {' or '.join(SHAPES)}."
         told = f"for each place with a level, of all {self.places}."
         yield self._told_for_each(self.phases), f"phases {self.phases}. Give one in rad {told}"
         shares = [*(self.coherence or {}).values()]
         right = not shares or (bool(self.phases) and 0 <= min(shares) <= max(shares) <= 1)
-        yield (
-            right and self._told_for_each(self.coherence),
-            (f"a coherence {self.coherence}. Give one from 0 to 1, and a phase, {told}"),
-        )
+        right = right and self._told_for_each(self.coherence)
+        yield right, f"a coherence {self.coherence}. Give one from 0 to 1, and a phase, {told}"
 
     @property
     def places(self) -> tuple[str, ...]:
@@ -175,7 +167,7 @@ class Sea:
             return self.with_levels(level)
         beside = level[count:] if self.coherence else np.zeros(count)
         total = np.hypot(level[:count], beside)
-        share = level[:count] / np.maximum(total, np.finfo(float).tiny)
+        share = np.minimum(level[:count] / np.maximum(total, np.finfo(float).tiny), 1.0)
         told = dict(zip(self.places, map(float, share), strict=True)) if self.coherence else None
         phases = dict(zip(self.places, map(float, phase[:count]), strict=True))
         return replace(self.with_levels(total), phases=phases, coherence=told)

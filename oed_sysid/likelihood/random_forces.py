@@ -532,9 +532,9 @@ def one_wave(found: FilteredSolution, setting: Setting) -> Filtered | None:
     for part, path in zip(passes, paths, strict=True):
         forces = hilbert(path.disturbances(part.innovations[:, :, None])[:, columns, 0], axis=0)
         products += forces.T @ forces.conj()
-    size = np.sqrt(np.diag(products).real)
+    size = np.maximum(np.sqrt(np.diag(products).real), np.finfo(float).tiny ** 0.25)
     strengths, vectors = np.linalg.eigh(products / np.outer(size, size))
-    common = vectors[:, -1] * vectors[0, -1].conj() / np.abs(vectors[0, -1])
+    common = vectors[:, -1] * np.exp(-1j * np.angle(vectors[0, -1]))
     share = np.minimum(np.sqrt(strengths[-1]) * np.abs(common), 1.0)
     wave = replace(
         sea,
