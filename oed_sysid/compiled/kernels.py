@@ -198,12 +198,16 @@ class Kernel:
         starts = np.ascontiguousarray([0] if starts is None else starts, dtype=np.intc)
         n, n_segments = len(times), len(starts)
         from_nodes = self.n_full if from_nodes is None else from_nodes
-        for what, got, expected in (
-            ("parameter values", values.shape, (self.n_parameters,)),
-            ("node states", len(nodes), n_segments if from_nodes else 1),
+        shape, expected = values.shape, (self.n_parameters,)
+        for right, words in (
+            (shape == expected, f"{shape} parameter values, expected {expected}"),
+            (
+                len(nodes) == (n_segments if from_nodes else 1),
+                f"{len(nodes)} node states for {n_segments} segments",
+            ),
         ):
-            if got != expected:
-                raise ModelError(f"Got {got} {what}, expected {expected}.")
+            if not right:
+                raise ModelError(f"Got {words}.")
         y = np.full((n, self.n_outputs), np.nan)
         z = np.full((n, self.n_full), np.nan)
         ends = np.full((n_segments, self.n_full), np.nan)

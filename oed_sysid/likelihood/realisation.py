@@ -106,7 +106,7 @@ def forces_of_sea(sea: Sea, times: np.ndarray, rng: np.random.Generator) -> np.n
             values.append(state)
         return np.array(values) @ acting
 
-    together = wave()
+    together = np.zeros((len(times), 2)) if sea.phases is None else wave()
     forces = dict.fromkeys(sea.places, np.zeros(len(times)))
     for place, level, phase in sea.processes:
         own = np.isnan(phase)
