@@ -170,19 +170,23 @@ class Disturbed:
             further[part] = further[part] + 2 if process[part] == part else 0
         return np.append(process, np.repeat(process[: len(further)], further)).astype(np.intc)
 
+    @cached_property
+    def _numbers(self) -> dict[int, np.ndarray]:
+        """What disturbances and colours count as among those of a kind, below zero where none."""
+        n_forces, n_colours = len(self.variance), len(self.coloured)
+        process, first_order = np.arange(n_forces + n_colours), int(np.sum(self.sea < 0))
+        colour = process - n_forces
+        force = np.where(process < first_order, process, -1)
+        part = np.where(process < n_forces, process - first_order, -1)
+        sea = np.append(self.sea, np.full(n_colours, -1))
+        return {
+            COLOUR_VARIANCE: colour, COLOUR_TIME: colour, FORCE_VARIANCE: force, FORCE_TIME: force,
+            SEA_VARIANCE: part, SEA_PHASE: part, SEA_PERIOD: sea, SEA_DAMPING: sea,
+        }  # fmt: skip
+
     def touched(self, kind: int, index: int) -> np.ndarray:
         """Disturbances and colours of which a level is variance, time, damping or phase."""
-        n_forces, first_order = len(self.variance), int(np.sum(self.sea < 0))
-        process = np.arange(n_forces + len(self.coloured))
-        # What each counts as among those of the kind; below zero where it is none.
-        if kind in (COLOUR_VARIANCE, COLOUR_TIME):
-            number = process - n_forces
-        elif kind in (FORCE_VARIANCE, FORCE_TIME):
-            number = np.where(process < first_order, process, -1)
-        elif kind in (SEA_VARIANCE, SEA_PHASE):
-            number = np.where(process < n_forces, process - first_order, -1)
-        else:
-            number = np.append(self.sea, np.full(len(self.coloured), -1))
+        number = self._numbers[kind]
         return np.asarray(number >= 0 if index < 0 else number == index)
 
     def random(
@@ -205,13 +209,30 @@ class Disturbed:
         levels : sequence of (kind, index)
             By which derivatives are wanted.
         """
+        # Records of the same steps share it.
+        asked = lengths.tobytes(), following.tobytes(), tuple(levels)
+        if asked not in self._told:
+            self._told[asked] = self._random(lengths, following, levels)
+        return self._told[asked]
+
+    @cached_property
+    def _told(self) -> dict[tuple[bytes, bytes, tuple[tuple[int, int], ...]], Random]:
+        """What has been told of some steps and levels."""
+        return {}
+
+    def _random(
+        self, lengths: np.ndarray, following: np.ndarray, levels: Sequence[tuple[int, int]]
+    ) -> Random:
+        """Work it out; see :meth:`random`."""
         n, parts = len(self.owner), self.parts
-        own = np.setdiff1d(np.arange(n), parts)
+        own = np.ones(n, dtype=bool)
+        own[parts] = False
         owner, select = self.owner[own], np.eye(n)[own]
         variance = np.append(self.variance, self.colour_variance)[owner]
         variance[np.isin(owner, parts)] = 1.0
         mix, d_mix = self._mixed(select.T.copy(), owner)
-        core = self._transitions(lengths, following, owner)
+        slopes_asked = any(kind in (SEA_PERIOD, SEA_DAMPING) for kind, _ in levels)
+        core = self._transitions(lengths, following, owner, slopes=slopes_asked)
 
         def lifted(mix: np.ndarray, phi: np.ndarray) -> np.ndarray:
             return mix @ phi @ select if len(parts) else phi
@@ -219,17 +240,19 @@ class Disturbed:
         lanes = -(-len(levels) // 4) * 4  # whole vectors
         slopes, white = np.zeros((n, n, lanes)), np.zeros((len(self.white), lanes))
         moving: dict[int, np.ndarray] = {}
+        each = np.arange(n)
         for at, (kind, index) in enumerate(levels):
-            hit = self.touched(kind, index)
-            changed = next((d_mix[kind, j] for j in parts[hit[parts]] if (kind, j) in d_mix), None)
             if kind == WHITE_VARIANCE:
                 white[index, at] = 1.0
-            elif changed is not None:
+                continue
+            hit = self.touched(kind, index)
+            changed = next((d_mix[kind, j] for j in parts[hit[parts]] if (kind, j) in d_mix), None)
+            if changed is not None:
                 half = (changed * variance) @ mix.T
                 slopes[:, :, at] = half + half.T
                 moving[at] = lifted(changed, core[:, 0])
             elif kind in VARIANCES:
-                slopes[:, :, at] = np.diag(hit[self.owner])
+                slopes[each, each, at] = hit[self.owner]
             else:
                 by = core[:, 2 if kind == SEA_DAMPING else 1]
                 moving[at] = lifted(mix, np.where(hit[owner][:, None], by, 0.0))
@@ -247,21 +270,24 @@ class Disturbed:
         slopes = {}
         for j in self.parts:
             turned = np.array([np.cos(self.phase[j]), np.sin(self.phase[j])])
-            level = max(float(np.sqrt(self.variance[j])), 1e-150)
+            level = float(np.sqrt(self.variance[j]))
             by_phase = level * np.array([-turned[1], turned[0]])
+            # Of records whose samples nothing links a part is absent.
+            by_variance = turned * (0.5 / level if level > 0.0 else 0.0)
             wave = np.flatnonzero(owner == self.owner[j])[:2]
-            mix[j, wave] = np.sqrt(self.variance[j]) * turned
-            for kind, slope in ((SEA_VARIANCE, turned / (2.0 * level)), (SEA_PHASE, by_phase)):
+            mix[j, wave] = level * turned
+            for kind, slope in ((SEA_VARIANCE, by_variance), (SEA_PHASE, by_phase)):
                 slopes[kind, int(j)] = np.zeros_like(mix)
                 slopes[kind, int(j)][j, wave] = slope
         return mix, slopes
 
     def _transitions(
-        self, lengths: np.ndarray, following: np.ndarray, owner: np.ndarray
+        self, lengths: np.ndarray, following: np.ndarray, owner: np.ndarray, *, slopes: bool
     ) -> np.ndarray:
         """Of states of some processes, ``(n_lengths, 3, n, n)``.
 
-        And their derivatives by the logarithms of all times and periods, and of all dampings.
+        And their derivatives by the logarithms of all times and periods, and of all dampings; those
+        of seas only with ``slopes``.
         """
         found = np.zeros((len(lengths), 3, len(owner), len(owner)))
         turn = np.append(self.turn, np.zeros(len(self.coloured), dtype=np.intc))[owner]
@@ -275,7 +301,7 @@ class Disturbed:
             where, of_wave = np.flatnonzero(owner == j), bool(j in self.parts)
             kind = float(self.time[j]), float(self.damping[j]), int(self.turn[j]), of_wave
             if kind not in means:
-                means[kind] = step_means(lengths, following, *kind)
+                means[kind] = step_means(lengths, following, *kind, slopes=slopes)
             found[:, :, where[:, None], where] = means[kind]
         return found
 
@@ -387,6 +413,8 @@ def step_means(
     damping: float,
     turn: int,
     quadrature: bool = False,
+    *,
+    slopes: bool = True,
 ) -> np.ndarray:
     """Transitions of the mean force of a sea over steps and of its further states.
 
@@ -398,6 +426,8 @@ def step_means(
         As of :func:`narrow_band`.
     quadrature : bool
         Whether the mean of the quadrature comes second.
+    slopes : bool
+        Whether derivatives are wanted; zero without.
 
     Returns
     -------
@@ -413,20 +443,22 @@ def step_means(
     >>> float(phi[0, 0].round(1)), float(np.cos(2 * np.pi / 8).round(1))
     (0.7, 0.7)
     """
+    angles = 2 * np.pi / period * np.stack([lengths, following])
 
-    def over(period: float, damping: float) -> np.ndarray:
-        stepped, turned = _with_mean(2 * np.pi * lengths / period, damping, turn, quadrature)
-        _, behind = _with_mean(2 * np.pi * following / period, damping, turn, quadrature)
-        return np.swapaxes(behind, 1, 2) @ stepped @ turned
+    def over(factors: np.ndarray, damping: float) -> np.ndarray:
+        """Of angles times some factors, ``(n_factors, n_lengths, n, n)``."""
+        every = factors[:, None, None] * angles
+        found = _with_mean(every.ravel(), damping, turn, quadrature)
+        stepped, turned = (one.reshape(*every.shape, *one.shape[1:]) for one in found)
+        return np.asarray(np.swapaxes(turned[:, 1], 2, 3) @ stepped[:, 0] @ turned[:, 0])
 
-    def slope(by_period: float, by_damping: float) -> np.ndarray:
-        ends = [
-            over(period * np.exp(by_period * step), damping * np.exp(by_damping * step))
-            for step in (1e-5, -1e-5)  # of the logarithm
-        ]
-        return (ends[0] - ends[1]) / 2e-5
-
-    return np.stack([over(period, damping), slope(1.0, 0.0), slope(0.0, 1.0)], axis=1)
+    moved = 1e-5 * np.array([0.0, -1.0, 1.0])[: 3 if slopes else 1]  # of the logarithm
+    value, *ends = over(np.exp(moved), damping)  # a longer period turns less
+    by = [np.zeros_like(value)] * 2
+    if slopes:
+        more, less = (over(np.ones(1), damping * np.exp(step))[0] for step in (1e-5, -1e-5))
+        by = [(ends[0] - ends[1]) / 2e-5, (more - less) / 2e-5]
+    return np.stack([value, *by], axis=1)
 
 
 # On an interval of unit length: exact to rounding for the thirds of a wave that a step is at most.
@@ -635,7 +667,6 @@ class InterpretedFilter:
         self.size = self.coloured.stop + noise.n_second
         self.extra = slice(self.na, self.size)
         self.levels: Sequence[tuple[int, int]] = ()
-        self.over: dict[tuple[float, float], Random] = {}
         self.mean = np.zeros(self.size)
         self.beyond = (
             np.full(along.measured.shape, np.inf) if along.beyond is None else along.beyond
@@ -715,10 +746,8 @@ class InterpretedFilter:
 
     def _over(self, lengths: tuple[float, float]) -> Random:
         """What random components do over a step."""
-        if lengths not in self.over:
-            here, behind = np.array(lengths)[:, None]
-            self.over[lengths] = self.noise.random(here, behind, self.levels)
-        return self.over[lengths]
+        here, behind = np.array(lengths)[:, None]
+        return self.noise.random(here, behind, self.levels)
 
     def _let_act(self) -> None:
         """Disturbances into the parameters through which they act."""

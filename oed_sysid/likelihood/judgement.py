@@ -294,9 +294,6 @@ def _levels(fit: Estimate) -> Iterator[Found]:
     if fit.innovations is None:  # those that it took where it was given others
         declared = np.where(fit.sigma_estimated, declared, fit.sigma)
     share = max(1.0 - fit.n_unknowns / max(fit.n_observations, 1), 0.1)
-    # What a departure explains more of than it leaves is no noise, in whatever it bends.
-    departure = _sought(fit)
-    departs = departure is not None and departure.share > 0.5
     for column, output in enumerate(fit.model.outputs):
         if fit.sigma_estimated[column] or not np.isfinite(declared[column]):
             continue
@@ -313,7 +310,7 @@ def _levels(fit: Estimate) -> Iterator[Found]:
             error = float(np.hypot(error, rest * (slow / whole) ** 2))
         if abs(np.log(factor)) < max(BEYOND * error, np.log1p(MATERIAL)):
             continue
-        if factor > 1.0 and departs:
+        if factor > 1.0 and _departs(fit):
             continue
         wrong = "small" if factor > 1.0 else "large"
         so = f"Standard errors are too {wrong} for it: set noise_std, or noise='estimate'."
@@ -329,6 +326,12 @@ def _levels(fit: Estimate) -> Iterator[Found]:
             "low": factor * np.exp(-TWO_SIDED_95 * error),
             "high": factor * np.exp(TWO_SIDED_95 * error), "so": so,
         })  # fmt: skip
+
+
+def _departs(fit: Estimate) -> bool:
+    """Whether a departure explains more than it leaves: that is no noise, in whatever it bends."""
+    departure = _sought(fit)
+    return departure is not None and departure.share > 0.5
 
 
 def _level(fit: Estimate, column: int, share: float) -> tuple[float, float, bool] | None:

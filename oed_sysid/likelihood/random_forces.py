@@ -31,7 +31,6 @@ from functools import cache, partial
 from itertools import compress
 
 import numpy as np
-from scipy.signal import hilbert
 from scipy.special import chdtrc, comb
 
 from oed_sysid.compiled.filtering import FORCE_VARIANCE
@@ -522,6 +521,8 @@ def one_wave(found: FilteredSolution, setting: Setting) -> Filtered | None:
     Of the forces that must have acted the coherence of two places and the phase between them are
     told by the strongest eigenvector of their correlations, as analytic signals.
     """
+    from scipy.signal import hilbert  # takes a third of a second
+
     seas = found.noise.seas
     if len(seas) != 1 or seas[0].phases is not None or np.sum(seas[0].level > 0) < 2:
         return None
@@ -532,7 +533,8 @@ def one_wave(found: FilteredSolution, setting: Setting) -> Filtered | None:
     for part, path in zip(passes, paths, strict=True):
         forces = hilbert(path.disturbances(part.innovations[:, :, None])[:, columns, 0], axis=0)
         products += forces.T @ forces.conj()
-    size = np.maximum(np.sqrt(np.diag(products).real), np.finfo(float).tiny ** 0.25)
+    size = np.sqrt(np.diag(products).real)
+    size[size == 0.0] = 1.0  # nothing shows it
     strengths, vectors = np.linalg.eigh(products / np.outer(size, size))
     common = vectors[:, -1] * np.exp(-1j * np.angle(vectors[0, -1]))
     share = np.minimum(np.sqrt(strengths[-1]) * np.abs(common), 1.0)
