@@ -402,7 +402,11 @@ SMOOTHED = [FORCES_AND_COLOURS[2], FORCES_AND_COLOURS[3], ship_sea(-1), ship_sea
 WAVES = [ship_sea(-1, (0.0, 1.9)), ship_sea(1, (0.4, -1.1))]
 
 
-@pytest.mark.parametrize("noise", [*FORCES_AND_COLOURS, ship_sea(-1), ship_sea(1), *WAVES])
+# A colour that lasts for ever is the zero of a sensor.
+ZERO = ship_noise(colour_variance=np.array([1e-4]), colour_time=np.array([np.inf]))
+
+
+@pytest.mark.parametrize("noise", [*FORCES_AND_COLOURS, ZERO, ship_sea(-1), ship_sea(1), *WAVES])
 def test_likelihood_is_that_of_the_joint_normal_distribution(noise: Disturbed) -> None:
     """On a linear model log determinant and square equal those of a dense covariance to 1e-8.
 

@@ -540,7 +540,7 @@ class Fit(estimate.Estimate):
         rows = [self._noise_row(*one, units.get(one[0], "")) for one in forces]
         rows += [
             (
-                f"autocorrelated noise of {output.name}",
+                f"{'zero' if np.isinf(time) else 'autocorrelated noise'} of {output.name}",
                 *self._noise_row(f"colour of {output.name}", level, time, output.unit)[1:],
             )
             for output, level, time in colours
@@ -591,7 +591,8 @@ class Fit(estimate.Estimate):
             return name, "absent", "", "", unit
         half = factor * self._half(f"{name} level", level)
         spread = "" if np.isnan(half) else f"± {digits(half)}"
-        return name, rounded(factor * level, half), spread, digits(time), unit
+        lasting = "constant" if np.isinf(time) else digits(time)
+        return name, rounded(factor * level, half), spread, lasting, unit
 
     def _remarks(self) -> list[str]:
         """What else to know before the values are used, one sentence each."""

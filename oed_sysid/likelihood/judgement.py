@@ -65,6 +65,7 @@ from scipy.special import chdtri, ndtr, stdtr
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import MINIMUM_SAMPLES
+from oed_sysid.errors import listed
 from oed_sysid.likelihood.between_records import CHANCE, FEWEST_RECORDS, WORTH_TELLING
 from oed_sysid.likelihood.covariance import Peak, clear_peaks
 from oed_sysid.likelihood.departures import (
@@ -379,6 +380,17 @@ def _narrow_bands(fit: Estimate) -> Iterator[Found]:
         if any(0.5 < peak.period / period < 2.0 for period in periods):
             continue
         yield Found(peak.period, peak.output, facts={"ratio": peak.ratio})
+
+
+def _zeros(fit: Estimate) -> Iterator[Found]:
+    """Sensors that are off by more than any zero is trusted to where one is off."""
+    noise, told = fit.noise, []
+    for output, zero, white in zip(fit.model.outputs, noise.zeros, noise.white, strict=True):
+        if zero > (1.0 + MATERIAL) * white:
+            factor, unit = shown_unit(output.unit)
+            told.append(f"{output.name} by about {factor * zero:.2g} {unit}")
+    if told:
+        yield Found(len(told), facts={"what": listed(told)})
 
 
 def _autocorrelations(fit: Estimate) -> Iterator[Found]:
@@ -918,6 +930,11 @@ CHECKS = (
         "The residuals look as if {signal}{or} reads {value:.3g} ± {error:.2g} {unit} too {side} "
         "in all records (expected none), and parameters bend to that. Check its zero, or let it be "
         "estimated: sensor_bias of oed_sysid.physics.",
+    ),
+    Check(
+        "offset", _zeros, f"{1.0 + MATERIAL:g} standard deviations of their noise",
+        "Sensors are off by a constant in each record: {what}. It is estimated with all else, and "
+        "standard errors hold it. Check their zeros.",
     ),
     Check(
         "scale", partial(_departure, ("scale",)),

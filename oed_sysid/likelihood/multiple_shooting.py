@@ -499,6 +499,7 @@ class MultipleShooting:
             known_starts=task.shooting.known_starts,
             seas=seas,
             any_sea=not seas,
+            any_zero=True,
             max_iterations=self.solver.max_iterations,
         )
 

@@ -250,7 +250,8 @@ class NoiseModel:
         Levels of the disturbances, in the unit of their place.
     colour_time, force_time : ndarray (n_outputs,), (n_forces,)
         Their correlation times, s; one number stands for all. Time zero is white from step
-        to step.
+        to step; noise of a sensor that lasts for ever is its zero, which is off by a constant in
+        each record.
     outputs, places : tuple of str
         Names, such as ``"q"`` and ``"force Z"`` or ``"actuator fin"``.
     seas : tuple of Sea
@@ -314,9 +315,14 @@ class NoiseModel:
         return not (self.has_colour or self.has_forces)
 
     @property
+    def zeros(self) -> np.ndarray:
+        """Standard deviations of the constants by which sensors are off, ``(n_outputs,)``."""
+        return np.where(np.isinf(self.colour_time), self.colour, 0.0)
+
+    @property
     def sensors(self) -> np.ndarray:
-        """Standard deviation of one measurement of each output, white and coloured together."""
-        return np.hypot(self.white, self.colour)
+        """Standard deviation of each output about its zero, white and coloured together."""
+        return np.hypot(self.white, self.colour - self.zeros)
 
     def with_places(self, places: Sequence[str], time: Any, level: Any = 0.0) -> NoiseModel:
         """Return the same model with disturbances at more places.
@@ -348,7 +354,8 @@ class NoiseModel:
     def at_most(self, sensors: np.ndarray) -> NoiseModel:
         """Return the same model with sensors whose standard deviation is no larger than given."""
         share = np.minimum(1.0, sensors / np.maximum(self.sensors, 1e-300))
-        return replace(self, white=share * self.white, colour=share * self.colour)
+        colour = share * (self.colour - self.zeros) + self.zeros
+        return replace(self, white=share * self.white, colour=colour)
 
     def level(self, place: str) -> tuple[float, float]:
         """Level and time of the disturbance at one place; zero level where there is none."""
@@ -402,7 +409,9 @@ class NoiseModel:
         forces = zip(self.places, self.force, self.force_time, strict=True)
         return {
             "sensors": {
-                name: {"white": float(w), "colour": float(c), "time": float(t) if c else None}
+                name: {"white": float(w), "zero": float(c)}
+                if np.isinf(t)
+                else {"white": float(w), "colour": float(c), "time": float(t) if c else None}
                 for name, w, c, t in sensors
             },
             "disturbances": {
@@ -532,7 +541,13 @@ class Levels:
         coloured = np.flatnonzero(colour | (noise.colour > 0))
         of_colour = colour[coloured]
         floor = np.maximum(WHITE_FLOOR, (least_white / unit.white) ** 2)
+        lasting = noise.colour_time[coloured]
+        # What lasts for ever is the zero of a sensor. Where one is off none is trusted to less than
+        # its noise, and it may be as far off as the records tell.
+        is_zero = np.isinf(lasting)
         most = np.broadcast_to(most_colour, len(unit.colour))[coloured] / unit.colour[coloured]
+        most = np.where(is_zero, np.inf, most)
+        least = np.where(is_zero, unit.white[coloured] / unit.colour[coloured], 0.0)
         between = np.log(times)
         known = ([Sea()] * len(noise.seas) if seas is None else seas)[: len(noise.seas)]
         rows: list[tuple[float, ...]] = []
@@ -556,8 +571,8 @@ class Levels:
         # White from step to step is no matter of time.
         add_times(FORCE_TIME, force & (noise.force_time > 0), noise.force_time)
         add(WHITE_VARIANCE, np.flatnonzero(white), unit.white, floor)
-        add(COLOUR_VARIANCE, np.flatnonzero(of_colour), unit.colour[coloured], high=most**2)
-        add_times(COLOUR_TIME, of_colour, noise.colour_time[coloured])
+        add(COLOUR_VARIANCE, np.flatnonzero(of_colour), unit.colour[coloured], least**2, most**2)
+        add_times(COLOUR_TIME, of_colour & ~is_zero, lasting)
         at_sea, _, phases = _processes(noise.seas)
         _, sizes, _ = _processes(unit.seas)
         counts, parts = [len(sea.processes) for sea in noise.seas], np.isfinite(phases)
@@ -605,7 +620,7 @@ class Levels:
         for (kind, index), scale in zip(self.entries, self.scale, strict=True):
             own = sizes[kind]
             # A time that all share begins at the geometric mean of theirs.
-            size = own[index] if index >= 0 else _middle(own[own > 0])
+            size = own[index] if index >= 0 else _middle(own[(own > 0) & np.isfinite(own)])
             own_value = size if kind == SEA_PHASE else size**2 / scale
             values.append(np.log(size) if kind in LOGARITHMS else own_value)
         return np.clip(np.array(values, dtype=float), self.lower, self.upper)
@@ -616,7 +631,8 @@ class Levels:
         for (kind, index), scale, value in zip(self.entries, self.scale, vector, strict=True):
             own = value if kind == SEA_PHASE else np.sqrt(max(value, 0.0) * scale)
             size = np.exp(value) if kind in LOGARITHMS else own
-            sizes[kind][sizes[kind] > 0 if index < 0 else index] = size
+            those = (sizes[kind] > 0) & np.isfinite(sizes[kind])
+            sizes[kind][those if index < 0 else index] = size
         colour, colour_time = noise.colour.copy(), noise.colour_time.copy()
         colour[self.coloured] = sizes[COLOUR_VARIANCE]
         colour_time[self.coloured] = sizes[COLOUR_TIME]
@@ -669,12 +685,12 @@ class Levels:
     def _times(self) -> dict[int, int]:
         """Position of the unknown time of each variance that has one, by its own position."""
         position = {entry: j for j, entry in enumerate(self.entries)}
-        found = {}
+        found, lasting = {}, self._sizes(self.noise)
         for i, (kind, index) in enumerate(self.entries):
             time = {FORCE_VARIANCE: FORCE_TIME, COLOUR_VARIANCE: COLOUR_TIME}.get(kind, -1)
             j = position.get((time, index), position.get((time, -1)))
-            # White from step to step is no matter of time.
-            if j is not None and (kind == COLOUR_VARIANCE or self.noise.force_time[index] > 0):
+            # White from step to step, and what is constant, is no matter of time.
+            if j is not None and 0.0 < lasting[time][index] < np.inf:
                 found[i] = j
         return found
 

@@ -444,6 +444,25 @@ def autocorrelated_sensors(found: FilteredSolution, setting: Setting) -> Filtere
     return posed(found, setting, noise, has | asks)
 
 
+def zeros_of_sensors(found: FilteredSolution, setting: Setting) -> Filtered | None:
+    """Constants by which sensors are off in each record.
+
+    Where one is off none is trusted to less than its noise: an error that the records hardly tell
+    from a derivative bends that, and its interval would not hold.
+    """
+    noise, has = found.noise, _autocorrelated(found)
+    if not setting.any_zero or has.all():
+        return None
+    off = replace(noise, colour_time=np.where(has, noise.colour_time, np.inf))
+    wide = posed(found, setting, off, np.ones_like(has))
+    names = [f"colour of {name} level" for name in np.array(noise.outputs)[~has]]
+    gain, variances = Scored.at(found).gain(wide, names)
+    if gain < WORTH:
+        return None
+    off.colour[~has] = np.maximum(np.sqrt(variances), noise.white[~has])
+    return posed(found, setting, off)
+
+
 def sensors_for_forces(found: FilteredSolution, setting: Setting) -> Filtered | None:
     """Autocorrelated noise of every sensor in the place of forces.
 
@@ -560,6 +579,7 @@ def without_tails(found: FilteredSolution, setting: Setting) -> Filtered | None:
 # place of forces may be less likely by what Akaike (1974) weighs the unknown that it has fewer, and
 # what has vanished always goes.
 PARTS: Mapping[Proposal, float] = {
+    zeros_of_sensors: WORTH,
     autocorrelated_sensors: WORTH,
     sensors_for_forces: WORTH,
     without_vanished: -np.inf,

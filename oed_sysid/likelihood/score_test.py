@@ -96,6 +96,8 @@ class Setting:
         Those that are declared; what they leave out is unknown.
     any_sea : bool
         Whether others are looked for.
+    any_zero : bool
+        Whether sensors may be off by a constant in each record, as a part of their noise.
     max_iterations : int
         Of each step of the search.
     kernel : FilterKernel, optional
@@ -115,6 +117,7 @@ class Setting:
     drifting: bool = True
     seas: Sequence[Sea] = ()
     any_sea: bool = False
+    any_zero: bool = False
     max_iterations: int = 40
     kernel: FilterKernel | None = None
 
