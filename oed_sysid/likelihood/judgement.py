@@ -65,7 +65,6 @@ from scipy.special import chdtri, ndtr, stdtr
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import MINIMUM_SAMPLES
-from oed_sysid.errors import listed
 from oed_sysid.likelihood.between_records import CHANCE, FEWEST_RECORDS, WORTH_TELLING
 from oed_sysid.likelihood.covariance import Peak, clear_peaks
 from oed_sysid.likelihood.departures import (
@@ -384,13 +383,20 @@ def _narrow_bands(fit: Estimate) -> Iterator[Found]:
 
 def _zeros(fit: Estimate) -> Iterator[Found]:
     """Sensors that are off by more than any zero is trusted to where one is off."""
-    noise, told = fit.noise, []
-    for output, zero, white in zip(fit.model.outputs, noise.zeros, noise.white, strict=True):
-        if zero > (1.0 + MATERIAL) * white:
-            factor, unit = shown_unit(output.unit)
-            told.append(f"{output.name} by about {factor * zero:.2g} {unit}")
-    if told:
-        yield Found(len(told), facts={"what": listed(told)})
+    noise = fit.noise
+    far = np.flatnonzero(noise.zeros > (1.0 + MATERIAL) * noise.white)
+    if not far.size:
+        return
+    problem, unknowns = posed_again(fit)
+    # Of a constant the filter knows at the last sample what all of them say.
+    last = [part.path[-1] for part in problem.passes(unknowns, columns=False)]
+    off = np.array(last)[:, -len(problem.levels.coloured) :]
+    for column in far:
+        own = off[:, problem.levels.coloured.tolist().index(column)]
+        factor, unit = shown_unit(fit.model.outputs[column].unit)
+        span = dict.fromkeys(f"{factor * one:.3g}" for one in (own.min(), own.max()))
+        yield Found(float(own.mean()), fit.model.output_names[column],
+                    facts={"span": " to ".join(span), "unit": unit})  # fmt: skip
 
 
 def _autocorrelations(fit: Estimate) -> Iterator[Found]:
@@ -933,8 +939,8 @@ CHECKS = (
     ),
     Check(
         "offset", _zeros, f"{1.0 + MATERIAL:g} standard deviations of their noise",
-        "Sensors are off by a constant in each record: {what}. It is estimated with all else, and "
-        "standard errors hold it. Check their zeros.",
+        "{signal} reads {span} {unit} too high in each record (expected 0), which is estimated "
+        "with all else: parameters do not follow it, and their errors hold it. Check its zero.",
     ),
     Check(
         "scale", partial(_departure, ("scale",)),

@@ -445,22 +445,33 @@ def autocorrelated_sensors(found: FilteredSolution, setting: Setting) -> Filtere
 
 
 def zeros_of_sensors(found: FilteredSolution, setting: Setting) -> Filtered | None:
-    """Constants by which sensors are off in each record.
+    """Constants by which sensors are off in each record, in the place of autocorrelated noise.
 
     Where one is off none is trusted to less than its noise: an error that the records hardly tell
     from a derivative bends that, and its interval would not hold.
     """
     noise, has = found.noise, _autocorrelated(found)
-    if not setting.any_zero or has.all():
+    if not setting.any_zero or noise.zeros.any():
         return None
-    off = replace(noise, colour_time=np.where(has, noise.colour_time, np.inf))
-    wide = posed(found, setting, off, np.ones_like(has))
-    names = [f"colour of {name} level" for name in np.array(noise.outputs)[~has]]
-    gain, variances = Scored.at(found).gain(wide, names)
-    if gain < WORTH:
-        return None
-    off.colour[~has] = np.maximum(np.sqrt(variances), noise.white[~has])
-    return posed(found, setting, off)
+    off = replace(_alone(noise, has, setting), colour_time=np.inf)
+    sizes = noise.colour
+    if not has.any():
+        names = [f"colour of {name} level" for name in noise.outputs]
+        gain, variances = Scored.at(found).gain(posed(found, setting, off, ~has), names)
+        if gain < WORTH:
+            return None
+        sizes = np.sqrt(variances)
+    return posed(found, setting, replace(off, colour=np.maximum(sizes, off.white)))
+
+
+def _alone(noise: NoiseModel, which: np.ndarray, setting: Setting) -> NoiseModel:
+    """Some sensors without autocorrelated noise, their white noise bounded or declared again."""
+    white = np.where(setting.estimated, np.maximum(noise.white, setting.least_white), setting.white)
+    return replace(
+        noise,
+        white=np.where(which, white, noise.white),
+        colour=np.where(which, 0.0, noise.colour),
+    )
 
 
 def sensors_for_forces(found: FilteredSolution, setting: Setting) -> Filtered | None:
@@ -482,12 +493,7 @@ def without_vanished(found: FilteredSolution, setting: Setting) -> Filtered | No
     vanished = has & (noise.colour < 0.02 * setting.white)
     if not vanished.any():
         return None
-    white = np.where(setting.estimated, np.maximum(noise.white, setting.least_white), setting.white)
-    noise = replace(
-        noise,
-        white=np.where(vanished, white, noise.white),
-        colour=np.where(vanished, 0.0, noise.colour),
-    )
+    noise = _alone(noise, vanished, setting)
     return posed(found, setting, noise, has & ~vanished)
 
 
@@ -579,8 +585,8 @@ def without_tails(found: FilteredSolution, setting: Setting) -> Filtered | None:
 # place of forces may be less likely by what Akaike (1974) weighs the unknown that it has fewer, and
 # what has vanished always goes.
 PARTS: Mapping[Proposal, float] = {
-    zeros_of_sensors: WORTH,
     autocorrelated_sensors: WORTH,
+    zeros_of_sensors: WORTH,
     sensors_for_forces: WORTH,
     without_vanished: -np.inf,
     noisy_inputs: WORTH,

@@ -217,6 +217,7 @@ class Setting:
         own_times = noise.has_own_times if own_times is None else own_times
         if seas is None:
             seas = self.seas or [Sea()] * len(noise.seas)
+        remembers = colour & np.isfinite(noise.colour_time)
         known = {place: level for sea in unit.seas for place, level in (sea.levels or {}).items()}
         known |= dict(zip(unit.places, unit.force, strict=True))
 
@@ -235,13 +236,13 @@ class Setting:
                 places=noise.places,
                 seas=tuple(s.with_levels(natural(s.places, s.level)) for s in noise.seas),
             ),
-            # Where colour is admitted, the white level has to make room for it.
-            white=self.estimated | colour,
+            # Where colour is admitted, the white level has to make room for it, for a zero not.
+            white=self.estimated | remembers,
             colour=colour,
             force=np.array([place not in self.known for place in noise.places], dtype=bool),
             own_times=own_times,
             # ... and most of the high-frequency content may be its own.
-            least_white=np.where(colour, IMMATERIAL, 1.0) * self.least_white,
+            least_white=np.where(remembers, IMMATERIAL, 1.0) * self.least_white,
             most_colour=self.most_colour,
             times=self.times(dataset),
             seas=seas,
