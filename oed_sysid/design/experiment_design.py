@@ -177,75 +177,26 @@ def find_design(
         Whether a run that does not keep the limits on all vehicles wanted is better than none.
     """
     began = time.perf_counter()
-    kept = keep or Journal()
     if references := standard_manoeuvres(_bench(task)):
         task = replace(task, expected=task.expected.seen_white(references[0][1]))
-
-    def tried(task: Task, begin: Score | None = None) -> tuple[_Found, Assurance | None]:
-        """What is found, from rough manoeuvres or a given one, and how surely it keeps limits."""
-        found = _searched(task, search, references, rng, progress, kept, begin)
-        assured = partial(task.assured, found.experiment, rng)
-        return found, kept.once("other vehicles", assured, rng=rng)
-
+    finder = _Finder(search, references, rng, progress, keep or Journal())
     # What nothing keeps as surely as that: the first line of the result says so.
     may_fail = (DesignError,) if may_be_unsafe else ()
     try:
-        found, assurance = tried(task)
+        found, assurance = finder.tried(task)
     except DesignError:
         if not may_be_unsafe or task.caution is None:
             raise
         task = replace(task, scenarios=(), waves=())
-        found, assurance = tried(task)
+        found, assurance = finder.tried(task)
     # With more and stricter vehicles, until fresh ones confirm the probability asked for.
     with suppress(*may_fail):
         for _ in range(3 if task.scenarios else 0):
             if assurance is None or assurance.is_enough:
                 break
             task = task.stricter(assurance, rng)
-            found, assurance = tried(task, found.best)
-    return _designed(task, search, found, assurance, references, began)
-
-
-def _designed(
-    task: Task,
-    search: Search,
-    found: _Found,
-    assurance: Assurance | None,
-    references: Sequence[Standard],
-    began: float,
-) -> Design:
-    """What is found as a result: what it tells, beside standard manoeuvres, and what it reaches."""
-    expected, grid, best = task.expected, task.grid, found.best
-    played = task.experiment(best.commands)
-    compared = []
-    for title, run, note in references:
-        with suppress(OedSysidError):
-            compared.append(Reference(title, run, expected.bound(run), note))
-    total = expected.before if expected.shifts is None else expected.total(played)
-    return Design(
-        assurance=assurance,
-        sea=expected.sea,
-        experiment=found.experiment,
-        model=task.model,
-        trajectory=simulate_inputs(
-            task.model, grid.times, inputs=best.commands, initial=task.trial.initial
-        ),
-        information=expected.bound(played),
-        prior=expected.prior,
-        references=tuple(compared),
-        criterion=expected.criterion.name,
-        parametrisation=search.family.name,
-        value=_worth(task, best),
-        start_values=found.values,
-        active=(
-            *_actuator_limits(grid, best.commands[:, task.positions], units_of(task.model)),
-            *task.bounds.reached(grid.times, task.bounds.limited(best.evaluations[0].signals)),
-        ),
-        misfits=expected.misfits(total),
-        chances=expected.detections(total),
-        n_evaluations=found.n_evaluations,
-        seconds=time.perf_counter() - began,
-    )
+            found, assurance = finder.tried(task, found.best)
+    return finder.designed(task, found, assurance, began)
 
 
 def _bench(task: Task) -> Bench:
@@ -271,46 +222,89 @@ class _Found:
     n_evaluations: int
 
 
-def _searched(
-    task: Task,
-    search: Search,
-    references: Sequence[Standard],
-    rng: np.random.Generator,
-    progress: Callable[[Progress], None] | None,
-    keep: Journal,
-    begin: Score | None,
-) -> _Found:
-    """Search the family, from rough manoeuvres or from a given member."""
-    family = search.family
-    shape = None if isinstance(family, ZigZags) else family.on(task.grid)
-    # Of what is closed over the vehicle, commands are given and no family is searched.
-    objective = Objective(task, shape or Levels(2).on(task.grid), search.workers)
-    _check_start(task)
-    if isinstance(family, ZigZags):
-        return _closed(task, family, objective)
-    if begin is not None:
-        first = again(objective, task.grid, [begin])
-    else:
-        rough = partial(
-            starts, objective, task.grid, rng, n_candidates=search.n_candidates,
-            n_starts=search.n_starts, given=[task.designed(run) for _, run, _ in references],
-        )  # fmt: skip
-        first, objective.n_evaluations = keep.once(
-            "rough manoeuvres", lambda: (rough(), objective.n_evaluations), rng=rng
+@dataclass(frozen=True, eq=False)
+class _Finder:
+    """What stays the same however often a task is searched."""
+
+    search: Search
+    references: Sequence[Standard]
+    rng: np.random.Generator
+    progress: Callable[[Progress], None] | None
+    keep: Journal
+
+    def tried(self, task: Task, begin: Score | None = None) -> tuple[_Found, Assurance | None]:
+        """What is found, from rough manoeuvres or a given one, and how surely it keeps limits."""
+        found = self._searched(task, begin)
+        assured = partial(task.assured, found.experiment, self.rng)
+        return found, self.keep.once("other vehicles", assured, rng=self.rng)
+
+    def _searched(self, task: Task, begin: Score | None) -> _Found:
+        """Search the family, from rough manoeuvres or from a given member."""
+        search, family = self.search, self.search.family
+        shape = None if isinstance(family, ZigZags) else family.on(task.grid)
+        # Of what is closed over the vehicle, commands are given and no family is searched.
+        objective = Objective(task, shape or Levels(2).on(task.grid), search.workers)
+        _check_start(task)
+        if isinstance(family, ZigZags):
+            return _closed(task, family, objective)
+        if begin is not None:
+            first = again(objective, [begin])
+        else:
+            given = [task.designed(run) for _, run, _ in self.references]
+            first, objective.n_evaluations = self.keep.once(
+                "rough manoeuvres",
+                lambda: (starts(objective, search, self.rng, given), objective.n_evaluations),
+                rng=self.rng,
+            )
+        if not first:
+            raise DesignError(
+                f"All {search.n_candidates} rough manoeuvres make model {task.model.name!r} "
+                "diverge: it is unstable on its own. Design a shorter run, or in Python a closed "
+                "loop, search=Search(family=ZigZags(...))."
+            )
+        reached, nearest, values = refine_all(
+            objective, first, n_steps=search.n_steps, progress=self.progress, keep=self.keep
         )
-    if not first:
-        raise DesignError(
-            f"All {search.n_candidates} rough manoeuvres make model {task.model.name!r} diverge: "
-            "it is unstable on its own. Design a shorter run, or in Python a closed loop, "
-            "search=Search(family=ZigZags(...))."
+        if not reached:
+            raise DesignError(_infeasible(task, nearest))
+        best = max(reached, key=partial(_worth, task))
+        return _Found(best, task.experiment(best.commands), values, objective.n_evaluations)
+
+    def designed(
+        self, task: Task, found: _Found, assurance: Assurance | None, began: float
+    ) -> Design:
+        """What is found as a result: what it tells beside standard manoeuvres, what it reaches."""
+        expected, grid, best = task.expected, task.grid, found.best
+        played = task.experiment(best.commands)
+        compared = []
+        for title, run, note in self.references:
+            with suppress(OedSysidError):
+                compared.append(Reference(title, run, expected.bound(run), note))
+        total = expected.before if expected.shifts is None else expected.total(played)
+        return Design(
+            assurance=assurance,
+            sea=expected.sea,
+            experiment=found.experiment,
+            model=task.model,
+            trajectory=simulate_inputs(
+                task.model, grid.times, inputs=best.commands, initial=task.trial.initial
+            ),
+            information=expected.bound(played),
+            prior=expected.prior,
+            references=tuple(compared),
+            criterion=expected.criterion.name,
+            parametrisation=self.search.family.name,
+            value=_worth(task, best),
+            start_values=found.values,
+            active=(
+                *_actuator_limits(grid, best.commands[:, task.positions], units_of(task.model)),
+                *task.bounds.reached(grid.times, task.bounds.limited(best.evaluations[0].signals)),
+            ),
+            misfits=expected.misfits(total),
+            chances=expected.detections(total),
+            n_evaluations=found.n_evaluations,
+            seconds=time.perf_counter() - began,
         )
-    reached, nearest, values = refine_all(
-        objective, first, n_steps=search.n_steps, progress=progress, keep=keep
-    )
-    if not reached:
-        raise DesignError(_infeasible(task, nearest))
-    best = max(reached, key=partial(_worth, task))
-    return _Found(best, task.experiment(best.commands), values, objective.n_evaluations)
 
 
 def _closed(task: Task, family: ZigZags, objective: Objective) -> _Found:

@@ -31,7 +31,8 @@ import numpy as np
 from scipy.optimize import linprog
 
 from oed_sysid.design.objective import Objective, Score, Slope
-from oed_sysid.design.waveforms import SIZES, Grid, Shape
+from oed_sysid.design.trial import Search
+from oed_sysid.design.waveforms import SIZES, Grid
 from oed_sysid.runtime.constants import NEGLIGIBLE, THREE_DIGITS
 from oed_sysid.runtime.journal import Journal
 
@@ -68,13 +69,7 @@ def rough_commands(grid: Grid, rng: np.random.Generator) -> np.ndarray:
 
 
 def starts(
-    objective: Objective,
-    grid: Grid,
-    rng: np.random.Generator,
-    *,
-    n_candidates: int,
-    n_starts: int,
-    given: Sequence[np.ndarray] = (),
+    objective: Objective, search: Search, rng: np.random.Generator, given: Sequence[np.ndarray]
 ) -> list[Score]:
     """Evaluate rough manoeuvres and return the best, different ones.
 
@@ -82,23 +77,20 @@ def starts(
     ----------
     objective : Objective
         Criterion and limits.
-    grid : Grid
-        Where commands have to fit.
+    search : Search
+        How many manoeuvres are tried, and kept.
     rng : numpy.random.Generator
-    n_candidates, n_starts : int
-        Manoeuvres tried, and kept.
     given : sequence of ndarray (n_times, n_inputs)
         Manoeuvres of the designed inputs that are tried first, at full size.
     """
-    shape = objective.shape
-    members = [one for one in map(shape.start, given) if one is not None]
-    members += [_rough(shape, grid, rng) for _ in range(n_candidates)]
-    tried = (_largest(objective, grid, one, with_scenarios=False) for one in members)
+    members = [one for one in map(objective.shape.start, given) if one is not None]
+    members += [_rough(objective, rng) for _ in range(search.n_candidates)]
+    tried = (_largest(objective, one, with_scenarios=False) for one in members)
     found = [score for scores in tried for score in scores]
     found.sort(key=lambda score: (not score.feasible, -score.value))
-    kept = _different(found)[:n_starts]
+    kept = _different(found)[: search.n_starts]
     # Many vehicles take time: only what is kept is shrunk until they keep the limits too.
-    return again(objective, grid, kept) if objective.scenarios is not None else kept
+    return again(objective, kept) if objective.scenarios is not None else kept
 
 
 def _different(scores: Sequence[Score]) -> list[Score]:
@@ -111,26 +103,26 @@ def _different(scores: Sequence[Score]) -> list[Score]:
     return kept
 
 
-def _rough(shape: Shape, grid: Grid, rng: np.random.Generator) -> np.ndarray:
+def _rough(objective: Objective, rng: np.random.Generator) -> np.ndarray:
     """Numbers nearest to a rough manoeuvre; in a family that is too narrow, any."""
+    shape, grid = objective.shape, objective.task.grid
     unit = rough_commands(grid, rng)
     room = np.where(unit > 0, grid.upper - grid.trim, grid.trim - grid.lower)
     numbers = shape.start(grid.limited((grid.trim + room * unit)[None])[0])
     return rng.random(shape.size) if numbers is None else numbers
 
 
-def again(objective: Objective, grid: Grid, before: Sequence[Score]) -> list[Score]:
+def again(objective: Objective, before: Sequence[Score]) -> list[Score]:
     """Return members of the same family, shrunk until they keep the limits of this objective."""
     if objective.scenarios is not None and before:
         objective.scenarios.waive(objective.score(before[0].numbers).scenarios)
-    found = (_largest(objective, grid, one.numbers, with_scenarios=True) for one in before)
+    found = (_largest(objective, one.numbers, with_scenarios=True) for one in before)
     return [score for scores in found for score in scores]
 
 
-def _largest(
-    objective: Objective, grid: Grid, numbers: np.ndarray, *, with_scenarios: bool
-) -> list[Score]:
+def _largest(objective: Objective, numbers: np.ndarray, *, with_scenarios: bool) -> list[Score]:
     """Shrink a manoeuvre towards the trim command until all limits are kept."""
+    grid = objective.task.grid
     # Towards the trim command, at which nothing moves and most limits are kept.
     still = objective.shape.start(np.tile(grid.trim, (len(grid.times), 1)))
     if still is None:
