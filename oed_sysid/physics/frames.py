@@ -70,6 +70,7 @@ SIZES |= {"phi": 0.3, "theta": 0.3, **dict.fromkeys(QUATERNION, 0.5), "de0": 0.0
 Matrix = dict[tuple[int, int], str]
 Component = float | str
 Place = Sequence[Component]
+Texts = Sequence[str]
 
 _SUM = re.compile(r"(?<![eE*(])[+-]")
 
@@ -117,7 +118,7 @@ def plus(*terms: str) -> str:
     return text + "".join(f" - {t[1:]}" if t.startswith("-") else f" + {t}" for t in others)
 
 
-def cross(first: Sequence[str], second: Sequence[str]) -> tuple[str, str, str]:
+def cross(first: Texts, second: Texts) -> tuple[str, str, str]:
     """Vector product of two vectors of texts.
 
     >>> cross(("0", "0", "T"), ("x", "0", "0"))
@@ -311,7 +312,7 @@ def added_matrix(names: Sequence[str]) -> Matrix:
     return entries
 
 
-def momentum(entries: Matrix, velocity: Sequence[str]) -> list[str]:
+def momentum(entries: Matrix, velocity: Texts) -> list[str]:
     """Momentum of six components as texts."""
     rows: list[list[str]] = [[] for _ in range(6)]
     for (i, j), entry in sorted(entries.items()):
@@ -321,9 +322,7 @@ def momentum(entries: Matrix, velocity: Sequence[str]) -> list[str]:
     return [plus(*row) for row in rows]
 
 
-def gyroscopic(
-    entries: Matrix, velocity: Sequence[str], names: Sequence[str]
-) -> tuple[dict[str, str], list[str]]:
+def gyroscopic(entries: Matrix, velocity: Texts, names: Texts) -> tuple[dict[str, str], list[str]]:
     """Definitions of the momentum that is needed, and the forces on six axes."""
     texts = momentum(entries, velocity)
     symbols = ["0" if text == "0" else name for name, text in zip(names, texts, strict=True)]
@@ -341,7 +340,7 @@ def gyroscopic(
     return definitions, forces
 
 
-def current_rotation(entries: Matrix, velocity: Sequence[str], drift: Sequence[str]) -> list[str]:
+def current_rotation(entries: Matrix, velocity: Texts, drift: Texts) -> list[str]:
     """Added inertia times the rate of a steady current in turning body axes, six axes.
 
     The current ``drift`` is steady in NED, so that in body axes its rate is minus the

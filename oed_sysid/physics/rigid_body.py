@@ -40,7 +40,7 @@ from oed_sysid.errors import ModelError, located
 from oed_sysid.physics import frames
 from oed_sysid.physics.base import Effect, Environment, Force, amplitude
 from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.frames import Matrix, Place, cross, minus, plus, text_of, times
+from oed_sysid.physics.frames import Matrix, Place, Texts, cross, minus, plus, text_of, times
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.table import FOSSEN, SNAME, hull_derivatives
@@ -569,7 +569,9 @@ def rigid_body(
     """
     body = _Body(_active(dof))
     active, axes, oriented = body.active, body.axes, _oriented(attitude, body.active)
-    body.masses(mass, centre_of_gravity, inertia)
+    body.add("m", mass, "kg", "mass")
+    body.centre("gravity", centre_of_gravity)
+    body.moments(inertia)
     # M_RB and M_A as texts; only constants that are not zero come into the equations.
     rigid = frames.rigid_matrix(body.names)
     added = frames.added_matrix(body.added_mass(added_mass))
@@ -594,8 +596,8 @@ def rigid_body(
         inertia=_inertia((rigid, added), axes),
         signals=oriented.signals | {f"{v}_r": v for v in active if v in "uvw"},
         effects=(
-            *_coriolis("rigid_body", rigid, velocity, "PH", axes),
-            *_coriolis("added_mass", added, through, "AB", axes, drift),
+            *body.coriolis("rigid_body", rigid, velocity, "PH"),
+            *body.coriolis("added_mass", added, through, "AB", drift),
             *restoring,
         ),
         parameters=tuple(body.parameters),
@@ -616,9 +618,7 @@ def _oriented(attitude: str, active: Sequence[str]) -> frames.Attitude:
     return frames.quaternion()
 
 
-def _positions(
-    oriented: frames.Attitude, velocity: Sequence[str], wanted: Sequence[str] | None
-) -> dict[str, str]:
+def _positions(oriented: frames.Attitude, velocity: Texts, wanted: Texts | None) -> dict[str, str]:
     """Rates of the positions in NED that are carried as states."""
     ground = {
         name: plus(*(times(e, v) for e, v in zip(row, velocity[:3], strict=True)))
@@ -676,22 +676,8 @@ class _Body:
         pairs = zip(names, values, strict=True)
         return [self.add(name, value, "m", words, optional=True) for name, value in pairs]
 
-    def masses(
-        self,
-        mass: Number,
-        centre: Sequence[Number],
-        inertia: Sequence[Number] | Mapping[str, Number] | Number,
-    ) -> None:
-        """Keep mass, centre of gravity and moments of inertia."""
-        self.add("m", mass, "kg", "mass")
-        self.centre("gravity", centre)
-        for pair, value in self._moments(inertia).items():
-            self.add(f"I_{pair}", value, "kg m^2", "inertia about the origin", optional=True)
-
-    def _moments(
-        self, inertia: Sequence[Number] | Mapping[str, Number] | Number
-    ) -> dict[str, Number]:
-        """Moments and products of inertia by pair of letters."""
+    def moments(self, inertia: Sequence[Number] | Mapping[str, Number] | Number) -> None:
+        """Keep moments and products of inertia."""
         known = ("xx", "yy", "zz", "xy", "xz", "yz")
         turning = [pair for pair, rate in zip(known, "pqr", strict=False) if rate in self.active]
         if isinstance(inertia, Mapping):
@@ -711,7 +697,8 @@ class _Body:
         for pair in turning:
             if (size := _size(found.get(pair, 0.0))) <= 0.0:
                 raise ModelError(f"I_{pair} is {size:g}; a free rotation needs one above zero.")
-        return found
+        for pair, value in found.items():
+            self.add(f"I_{pair}", value, "kg m^2", "inertia about the origin", optional=True)
 
     def added_mass(self, given: Mapping[str, Number] | Sequence[Parameter]) -> list[str]:
         """Keep the acceleration derivatives; return their names."""
@@ -741,12 +728,24 @@ class _Body:
             self.add(name, value, notation.unit(name), parsed.description)
         return list(places.values())
 
+    def coriolis(
+        self, name: str, matrix: Matrix, velocity: Texts, letters: str, drift: Texts | None = None
+    ) -> list[Effect]:
+        """Coriolis-centripetal forces of one inertia matrix as an effect, if there are any."""
+        symbols = [f"{letter}_{axis}" for letter in letters for axis in "xyz"]
+        definitions, forces = frames.gyroscopic(matrix, velocity, symbols)
+        if drift is not None:
+            turning = frames.current_rotation(matrix, velocity, drift)
+            forces = [plus(force, extra) for force, extra in zip(forces, turning, strict=True)]
+        terms = _on(self.axes, forces)
+        if not terms:
+            return []
+        used = {n: t for n, t in definitions.items() if any(n in text for text in terms.values())}
+        words = f"momentum of the {'body' if drift is None else 'water'} in turning axes"
+        return [_of_body(name, terms, words, used)]
+
     def submerged(
-        self,
-        weight: Number | None,
-        buoyancy: Number | None,
-        centre: Sequence[Number],
-        down: Sequence[str],
+        self, weight: Number | None, buoyancy: Number | None, centre: Sequence[Number], down: Texts
     ) -> list[Effect]:
         """Weight and buoyancy at their centres, if it has a weight."""
         if weight is None:
@@ -802,28 +801,6 @@ def _inertia(matrices: Sequence[Matrix], axes: Mapping[str, str]) -> dict[tuple[
         for i, j in rows
     ]
     return {place: text for place, text in zip(places, texts, strict=True) if text != "0"}
-
-
-def _coriolis(
-    name: str,
-    matrix: Matrix,
-    velocity: Sequence[str],
-    letters: str,
-    axes: Mapping[str, str],
-    drift: Sequence[str] | None = None,
-) -> list[Effect]:
-    """Coriolis-centripetal forces of one inertia matrix as an effect, if there are any."""
-    symbols = [f"{letter}_{axis}" for letter in letters for axis in "xyz"]
-    definitions, forces = frames.gyroscopic(matrix, velocity, symbols)
-    if drift is not None:
-        turning = frames.current_rotation(matrix, velocity, drift)
-        forces = [plus(force, extra) for force, extra in zip(forces, turning, strict=True)]
-    terms = _on(axes, forces)
-    if not terms:
-        return []
-    used = {n: t for n, t in definitions.items() if any(n in text for text in terms.values())}
-    words = f"momentum of the {'body' if drift is None else 'water'} in turning axes"
-    return [_of_body(name, terms, words, used)]
 
 
 def _of_body(
