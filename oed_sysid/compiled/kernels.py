@@ -198,16 +198,10 @@ class Kernel:
         starts = np.ascontiguousarray([0] if starts is None else starts, dtype=np.intc)
         n, n_segments = len(times), len(starts)
         from_nodes = self.n_full if from_nodes is None else from_nodes
-        shape, expected = values.shape, (self.n_parameters,)
-        for right, words in (
-            (shape == expected, f"{shape} parameter values, expected {expected}"),
-            (
-                len(nodes) == (n_segments if from_nodes else 1),
-                f"{len(nodes)} node states for {n_segments} segments",
-            ),
-        ):
-            if not right:
-                raise ModelError(f"Got {words}.")
+        if values.shape != (expected := (self.n_parameters,)):
+            raise ModelError(f"Got {values.shape} parameter values, expected {expected}.")
+        if len(nodes) != (n_segments if from_nodes else 1):
+            raise ModelError(f"Got {len(nodes)} node states for {n_segments} segments.")
         y = np.full((n, self.n_outputs), np.nan)
         z = np.full((n, self.n_full), np.nan)
         ends = np.full((n_segments, self.n_full), np.nan)

@@ -108,26 +108,23 @@ class Trial:
                 "No input is left to design. Give its range: Limits(inputs={'rudder': (-0.3, "
                 "0.3)}), on the command line --limit rudder=-17:17."
             )
-        for name in dict.fromkeys((*names, *model.input_names)):
-            self._check_input(model, name, is_designed=name in names)
+        located(DesignError, f"Model {model.name!r} has no input", names, model.input_names)
+        for name in names:
+            if not np.all(np.isfinite(limits.inputs.get(name, np.inf))):
+                raise DesignError(
+                    f"The input {name!r} is to be designed but has no finite range. Give "
+                    f"Limits(inputs={{{name!r}: (lower, upper)}}), on the command line "
+                    f"--limit {name}=LOWER:UPPER."
+                )
+        for name in model.input_names:
+            if name not in (*names, *held):
+                raise DesignError(
+                    f"The input {name!r} is neither designed nor constant. Give "
+                    f"constants={{{name!r}: value}} or a range in the limits, on the command line "
+                    f"--limit {name}=LOWER:UPPER or --like with an experiment that holds it."
+                )
         located(DesignError, f"Model {model.name!r} has no state", self.initial, model.state_names)
         return names
-
-    def _check_input(self, model: Model, name: str, *, is_designed: bool) -> None:
-        """Refuse an input that the model has not, or of which nothing says what it does."""
-        located(DesignError, f"Model {model.name!r} has no input", [name], model.input_names)
-        if is_designed and not np.all(np.isfinite(self.limits.inputs.get(name, np.inf))):
-            raise DesignError(
-                f"The input {name!r} is to be designed but has no finite range. Give "
-                f"Limits(inputs={{{name!r}: (lower, upper)}}), on the command line "
-                f"--limit {name}=LOWER:UPPER."
-            )
-        if not is_designed and name not in self.constants:
-            raise DesignError(
-                f"The input {name!r} is neither designed nor constant. Give "
-                f"constants={{{name!r}: value}} or a range in the limits, on the command line "
-                f"--limit {name}=LOWER:UPPER or --like with an experiment that holds it."
-            )
 
     def grid(self, model: Model) -> Grid:
         """What the designed commands have to fit in."""

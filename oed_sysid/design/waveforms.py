@@ -200,6 +200,7 @@ class Levels:
         return _LinearShape(grid, waves, offset, np.unique(np.concatenate([[0], edges])))
 
 
+@dataclass(frozen=True, eq=False)
 class _LinearShape:
     """Waves ``(n_waves, n_times)`` of free heights in half ranges about an offset.
 
@@ -207,34 +208,32 @@ class _LinearShape:
     as a whole in the place of clipping them.
     """
 
-    def __init__(
-        self,
-        grid: Grid,
-        waves: np.ndarray,
-        offset: np.ndarray,
-        edges: np.ndarray,
-        *,
-        clean: bool = False,
-    ) -> None:
-        self._grid, self._waves, self._offset, self._clean = grid, waves, offset, clean
-        self._half = 0.5 * (grid.upper - grid.lower)
-        self.edges = edges
+    grid: Grid
+    waves: np.ndarray
+    offset: np.ndarray
+    edges: np.ndarray
+    clean: bool = False
 
     @property
     def size(self) -> int:
-        return len(self._waves) * len(self._grid.inputs)
+        return len(self.waves) * len(self.grid.inputs)
+
+    @property
+    def half(self) -> np.ndarray:
+        """Half of the range of each input, ``(n_inputs,)``."""
+        return 0.5 * (self.grid.upper - self.grid.lower)
 
     def commands(self, numbers: np.ndarray) -> np.ndarray:
-        shape = (-1, len(self._waves), len(self._grid.inputs))
+        shape = (-1, len(self.waves), len(self.grid.inputs))
         heights = 2 * np.atleast_2d(numbers).reshape(shape) - 1
-        wave = np.einsum("bli,lt->bti", heights, self._waves) * self._half
-        if self._clean:
+        wave = np.einsum("bli,lt->bti", heights, self.waves) * self.half
+        if self.clean:
             wave *= self._room(wave)
-        return self._grid.limited(self._offset + wave)
+        return self.grid.limited(self.offset + wave)
 
     def _room(self, wave: np.ndarray) -> np.ndarray:
         """Factors ``(n_batch, 1, n_inputs)`` up to 1 that keep range and rate without clipping."""
-        grid = self._grid
+        grid = self.grid
         # The first sample is trim, so the second is a step from there.
         steps = np.abs(np.diff(np.concatenate([0 * wave[:, :1], wave[:, 1:]], axis=1), axis=1))
         shares = (
@@ -246,8 +245,8 @@ class _LinearShape:
 
     def start(self, commands: np.ndarray) -> np.ndarray | None:
         # The first sample is at trim whatever the numbers are.
-        wanted = ((commands - self._offset) / self._half)[1:]
-        heights, *_ = np.linalg.lstsq(self._waves.T[1:], wanted, rcond=None)
+        wanted = ((commands - self.offset) / self.half)[1:]
+        heights, *_ = np.linalg.lstsq(self.waves.T[1:], wanted, rcond=None)
         return np.clip(0.5 * (heights + 1), 0.0, 1.0).ravel()
 
 

@@ -133,7 +133,16 @@ def equilibrium(
     used = sorted(set(function.sparsity_out(1).get_triplet()[1]))
     depended = tuple(names[index] for index in used if index < len(names))
     target = tuple(steady) if steady is not None else depended
-    _check(model, order, given, wanted, (*target, *known))
+    lacking = f"Model {model.name!r} has no state or input"
+    located(SimulationError, lacking, (*given, *wanted, *target, *known), order)
+    if both := {*given} & {*wanted}:
+        raise SimulationError(f"{', '.join(sorted(both))} is both given and free. Choose one.")
+    for name in model.input_names:
+        if name not in {*given, *wanted}:
+            raise SimulationError(
+                f"The input {name!r} is neither given nor free. Pass inputs={{{name!r}: value}} "
+                f"or free=[{name!r}]."
+            )
     unknowns = tuple(name for name in order if name in {*depended, *wanted} - given.keys())
     point = np.array([known[name] for name in order])
     rows, columns = [*map(names.index, target)], [*map(order.index, unknowns)]
@@ -287,26 +296,6 @@ def _bounds(limits: Limits | None, unknowns: tuple[str, ...]) -> tuple[np.ndarra
     pairs = [ranges.get(name, (-np.inf, np.inf)) for name in unknowns]
     lower, upper = np.array(pairs, dtype=float).reshape(-1, 2).T
     return lower, upper
-
-
-def _check(
-    model: Model,
-    known: tuple[str, ...],
-    given: Mapping[str, float],
-    free: tuple[str, ...],
-    mentioned: tuple[str, ...],
-) -> None:
-    """Raise if a name is unknown, or an input neither given nor free."""
-    lacking = f"Model {model.name!r} has no state or input"
-    located(SimulationError, lacking, (*given, *free, *mentioned), known)
-    if both := set(given) & set(free):
-        raise SimulationError(f"{', '.join(sorted(both))} is both given and free. Choose one.")
-    for name in model.input_names:
-        if name not in given and name not in free:
-            raise SimulationError(
-                f"The input {name!r} is neither given nor free. Pass inputs={{{name!r}: value}} "
-                f"or free=[{name!r}]."
-            )
 
 
 def _status(model: Model, ok: bool, worst: str, rate: float, unknowns: tuple[str, ...]) -> str:

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 
@@ -119,23 +118,17 @@ class Shifts:
         fresh = tuple(e.absent() for e in effects if e.name not in nominal.effect_names)
         # One structure for all: compiled once, values are arguments.
         wide = nominal + fresh if fresh else nominal
-        parts = [
-            _of_model(nominal, rival)
-            if isinstance(rival, Model)
-            else _of_effect(nominal, wide, rival, size)
-            for rival in rivals
-        ]
-        # One effect or model each, beside one another.
-        first = np.cumsum([0, *map(len, parts)])
-        groups = [
-            replace(one, columns=one.columns + begin)
-            for part, begin in zip(parts, first, strict=False)
-            for one in part.groups
-        ]
-        return cls(
-            tuple(chain.from_iterable(part.models for part in parts)),
-            np.concatenate([part.factors for part in parts]), tuple(groups),
-        )  # fmt: skip
+        models, factors, groups = list[Model](), list[float](), list[Group]()
+        for rival in rivals:
+            if isinstance(rival, Model):
+                group, moved, factor = _of_model(nominal, rival)
+            else:
+                group, moved, factor = _of_effect(nominal, wide, rival, size)
+            # One effect or model each, beside one another.
+            groups.append(replace(group, columns=len(models) + np.arange(len(moved))))
+            models += moved
+            factors += [factor] * len(moved)
+        return cls(tuple(models), np.array(factors), tuple(groups))
 
     def columns(self, given: CommandedRun, outputs: np.ndarray) -> np.ndarray:
         """Changes of the outputs in one run, ``(n_times, n_outputs, n_columns)``.
@@ -166,7 +159,11 @@ class Shifts:
         return found
 
 
-def _of_model(nominal: Model, rival: Model) -> Shifts:
+# Columns of an effect or a rival, their models, and the factor of their changes.
+_Part = tuple[Group, list[Model], float]
+
+
+def _of_model(nominal: Model, rival: Model) -> _Part:
     """The whole difference that a rival model makes."""
     # Levels of noise may differ: those of the nominal model count.
     if (rival.input_names, rival.output_names) != (nominal.input_names, nominal.output_names):
@@ -174,11 +171,10 @@ def _of_model(nominal: Model, rival: Model) -> Shifts:
             f"The rival {rival.name!r} has other inputs or outputs than {nominal.name!r}. Give it "
             "the same channels."
         )
-    group = Group(rival.name, np.array([0]), np.eye(1), 1, {})
-    return Shifts((rival,), np.ones(1), (group,))
+    return Group(rival.name, np.arange(1), np.eye(1), 1, {}), [rival], 1.0
 
 
-def _of_effect(nominal: Model, wide: Model, effect: Effect, size: float) -> Shifts:
+def _of_effect(nominal: Model, wide: Model, effect: Effect, size: float) -> _Part:
     """A tangent for each amplitude that may have either sign, else one whole change."""
     sizes = _sizes(effect, size)
     base = wide
@@ -194,7 +190,7 @@ def _of_effect(nominal: Model, wide: Model, effect: Effect, size: float) -> Shif
     ]
     n, freedom = len(parts), len(sizes) + len(effect.shape_names)
     group = Group(effect.name, np.arange(n), _weight(effect, n), freedom, sizes)
-    return Shifts(tuple(models), np.full(n, 1.0 / share), (group,))
+    return group, models, 1.0 / share
 
 
 def _weight(effect: Effect, n: int) -> np.ndarray:
