@@ -453,7 +453,10 @@ def decide(
     safe: Assurance | None = None
     if needs_check or not outlook.is_met:
         outlook, chosen, safe = outlook.safe_run(limits, certainty, rng, check=needs_check)
-    next_run, then, steps = outlook.plan(chosen, check=needs_check)
+    next_run, then, steps = None, outlook.now, list[int]()
+    if chosen is not None:
+        next_run, then = outlook.runs[chosen], outlook.deviations(outlook.told[chosen])
+        steps = [chosen] if needs_check else outlook.path()
     contradicted = contradiction is not None
     action = outlook.action(next_run, hours, contradicted=contradicted, check=needs_check)
     return Decision(
@@ -587,15 +590,6 @@ class _Outlook:
             refused.append(best)
         return replace(self, refused=refused), None, None
 
-    def plan(
-        self, chosen: int | None, *, check: bool
-    ) -> tuple[Candidate | None, np.ndarray, list[int]]:
-        """The next run, standard deviations after it, and all runs that are left."""
-        if chosen is None:
-            return None, self.now, []
-        steps = [chosen] if check else self.path()
-        return self.runs[chosen], self.deviations(self.told[chosen]), steps
-
     def action(
         self, next_run: Candidate | None, hours: float | None, *, contradicted: bool, check: bool
     ) -> str:
@@ -640,7 +634,7 @@ def goals_of(model: Model, given: Mapping[str, float]) -> tuple[ParameterGoal, .
     >>> [goal.parameter for goal in goals_of(ship, {"all": 0.05})]
     ['T', 'K']
     """
-    names = [p.name for p in model.free_parameters if not p.per_record]
+    names = model.shared_names
     located(DesignError, _no_goal(model), given, (*names, "all"))
     each = [(n, t) for key, t in given.items() for n in (names if key == "all" else [key])]
     return tuple(ParameterGoal(name, tolerance) for name, tolerance in dict(each).items())

@@ -85,7 +85,7 @@ class Knowledge:
 
     def before(self, given: Model | Fit, model: Model) -> Information | None:
         """What is known before the run, on all shared free parameters."""
-        names = _shared(model)
+        names = model.shared_names
         if self.prior is None:
             return None
         known: Information | str = "model"
@@ -148,7 +148,7 @@ class ExpectedInformation:
         model = model.with_noise(sigma)
         prior = knowledge.before(given, model)
         shifts = _shifts(criterion, model)
-        n = len(_shared(model))
+        n = len(model.shared_names)
         before = np.zeros((n if shifts is None else n + len(shifts),) * 2)
         if prior is not None:
             before[:n, :n] = prior.matrix
@@ -171,7 +171,7 @@ class ExpectedInformation:
     @property
     def names(self) -> tuple[str, ...]:
         """Parameters that all runs share."""
-        return _shared(self.model)
+        return self.model.shared_names
 
     @property
     def expected(self) -> NoiseModel | np.ndarray:
@@ -278,10 +278,6 @@ def _shifts(criterion: Criterion, model: Model) -> Shifts | None:
     if hasattr(criterion, "bind_shifts"):
         raise DesignError("A criterion has no bind_shifts. Write bind(Setting(..., shifts=...)).")
     return criterion.shifts(model) if isinstance(criterion, ByShifts) else None
-
-
-def _shared(model: Model) -> tuple[str, ...]:
-    return tuple(p.name for p in model.free_parameters if not p.per_record)
 
 
 def _information(fit: Fit) -> Information:

@@ -61,11 +61,6 @@ class _Accuracy:
     _repr_html_ = as_html
 
     @property
-    def others(self) -> dict[str, np.ndarray]:
-        """Expected relative standard errors of what it is compared with, ``(n,)`` by name."""
-        raise NotImplementedError
-
-    @property
     def names(self) -> tuple[str, ...]:
         """Parameters."""
         return self.information.names
@@ -97,7 +92,7 @@ class _Accuracy:
     def _undetermined(self) -> list[str]:
         return [f"Not determined: {text}." for text in self.information.null_directions()]
 
-    def _table(self, title: str) -> Table:
+    def _table(self, title: str, others: Mapping[str, np.ndarray]) -> Table:
         """Expected relative errors: before, after, on other vehicles, of other runs."""
         columns: dict[str, Sequence[str]] = {}
         if np.isfinite(self.prior_errors).any():
@@ -105,7 +100,7 @@ class _Accuracy:
         columns[title] = [stated(error, self.sea) for error in self.relative_errors]
         if self.spread is not None:
             columns["other vehicles"] = [self.spread.words(name) for name in self.names]
-        for name, errors in self.others.items():
+        for name, errors in others.items():
             columns[name] = [stated(error, self.sea) for error in errors]
         values = [f"{self.model.values[name]:.4g}" for name in self.names]
         rows = list(zip(self.names, values, *columns.values(), strict=True))
@@ -298,7 +293,7 @@ class Design(_Accuracy):
 
     def accuracy(self, *, sort: bool = False) -> Table:
         """Expected relative standard errors; sorted, the best first."""
-        table = self._table("this run")
+        table = self._table("this run", self.others)
         if not sort:
             return table
         return replace(table, rows=[table.rows[i] for i in np.argsort(self.relative_errors)])
@@ -647,7 +642,7 @@ class Programme(_Accuracy):
 
     def accuracy(self) -> Table:
         """Expected relative standard errors of every parameter."""
-        return self._table("after")
+        return self._table("after", self.others)
 
     to_dict = as_dict(
         "hours", "runs", "criterion", "value", "relaxed", "bound", "gap", "greedy_share",

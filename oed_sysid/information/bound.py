@@ -178,10 +178,9 @@ class RunInformation:
         priors: str | Mapping[str, float] | Information | None,
     ) -> Information:
         """Information of several runs and what is known besides."""
-        shared = [p for p in self._model.free_parameters if not p.per_record]
-        names = tuple(p.name for p in shared)
+        names = self._model.shared_names
         rows = np.vstack([*factors, prior_factor(self._model, names, priors)])
-        scales = np.array([p.magnitude for p in shared])
+        scales = np.array([self._model.parameter(name).magnitude for name in names])
         return Information(names, triangle(rows) * scales, scales)
 
 

@@ -580,7 +580,6 @@ def structural_identifiability(
     """
     if missing := [name for name in model.input_names if name not in inputs]:
         raise DesignError(f"The input {missing[0]!r} has no range. Give inputs={{...}} for all.")
-    names = tuple(p.name for p in model.free_parameters if not p.per_record)
     times = np.arange(0.0, duration + 0.5 * sample_time, sample_time)
 
     def random_run() -> CommandedRun:
@@ -621,7 +620,7 @@ def structural_identifiability(
     best = max(found, key=lambda information: information.rank)
     _, values, _, _ = best._svd
     return Structure(
-        names,
+        model.shared_names,
         best.rank,
         tuple(information.rank for information in found),
         best.null_directions(),

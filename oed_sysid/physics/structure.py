@@ -134,6 +134,11 @@ class Structure:
         return tuple(parameter.name for parameter in self.free_parameters)
 
     @property
+    def shared_names(self) -> tuple[str, ...]:
+        """Names of the free parameters that all records share, in order."""
+        return tuple(p.name for p in self.free_parameters if not p.per_record)
+
+    @property
     def values(self) -> dict[str, float]:
         """Present value of every parameter."""
         return {parameter.name: parameter.value for parameter in self.all_parameters}
