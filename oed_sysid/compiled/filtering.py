@@ -849,20 +849,19 @@ class InterpretedFilter:
             count = len(self.inside)
             before = self.found.moves[k, :count] if part[0] else np.eye(count)
             self.found.moves[k, :count] = f[np.ix_(self.inside, self.inside)] @ before
+        # Levels that move transitions: of f, and of what is fresh in a step.
+        by_level = np.moveaxis(over.by_level, 2, 0)[: len(self.levels)]
+        d_f = np.zeros_like(self.d_p)
+        d_f[over.moving, extra, extra] = over.memory_by_level[0]
+        moved, fresh = d_f @ self.p @ f.T, d_f[:, extra, extra] @ stationary @ phi.T
         self.d_mean = f @ self.d_mean
         self.d_mean[:na, self.own] += s[np.ix_(self.kept, self.chosen)]
+        self.d_mean[:, self.own.stop :] += (d_f @ self.mean).T
         # P^- = F P F' + D - phi D phi': stationary where nothing is measured.
-        d_p = f @ self.d_p @ f.T
-        by_level = np.moveaxis(over.by_level, 2, 0)[: len(d_p)]
-        d_p[:, extra, extra] += by_level - phi @ by_level @ phi.T
-        for level, change in zip(over.moving, over.memory_by_level[0], strict=True):
-            self.d_mean[extra, self.own.stop + level] += change @ self.mean[extra]
-            moved = change @ (self.p[extra] @ f.T)
-            d_p[level, extra] += moved
-            d_p[level, :, extra] += moved.T
-            fresh = change @ stationary @ phi.T
-            d_p[level, extra, extra] -= fresh + fresh.T
-        self.d_p = d_p
+        self.d_p = f @ self.d_p @ f.T + moved + np.swapaxes(moved, 1, 2)
+        self.d_p[:, extra, extra] += (
+            by_level - phi @ by_level @ phi.T - fresh - np.swapaxes(fresh, 1, 2)
+        )
         self.p = f @ self.p @ f.T
         self.p[extra, extra] += stationary - phi @ stationary @ phi.T
         self.mean[extra] = phi @ self.mean[extra]

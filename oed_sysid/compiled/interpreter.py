@@ -38,13 +38,8 @@ class Interpreted:
 
         self._advance = dense(graph.advance, (0, 3), 3)
         self._sample = dense(graph.sample, (0, 2), 2)
-        self._start = dense(graph.start, (0, 2), 2)
-
-    def start(
-        self, own: np.ndarray, inputs: np.ndarray, values: np.ndarray, time: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """See :meth:`oed_sysid.compiled.kernels.Kernel.start`."""
-        return self._start(own, inputs, values, time)
+        #: See :meth:`oed_sysid.compiled.kernels.Kernel.start`.
+        self.start = dense(graph.start, (0, 2), 2)
 
     def sample(
         self, z: np.ndarray, record: Commands, k: int, values: np.ndarray, hold: float = np.inf
