@@ -878,12 +878,12 @@ class FilterKernel(Kernel):
     """
 
     def __init__(self, model: Model) -> None:
-        library = load(model, filtered=True)
-        super().__init__(model, compiled=False, library=library)
+        super().__init__(model)
+        self.library = load(model, filtered=True)  # of the filter, in the place of its own
         self._free = {name: i for i, name in enumerate(model.free_names)}
         self._position = {name: i for i, name in enumerate(model.parameter_names)}
-        if library is not None:
-            library.kernel_filter_work.restype = ctypes.c_size_t
+        if self.library is not None:
+            self.library.kernel_filter_work.restype = ctypes.c_size_t
 
     def __reduce__(self) -> tuple[Callable[[Model], FilterKernel], tuple[Model]]:
         return filter_kernel, (self.model,)

@@ -96,17 +96,9 @@ class Kernel:
         The model; only its structure matters, values are arguments.
     compiled : bool
         Whether compiled code runs where there is a compiler, or the interpreter in any case.
-    library : CDLL, optional
-        That of the model's filter, which runs without sensitivities only.
     """
 
-    def __init__(
-        self,
-        model: Model,
-        *,
-        compiled: bool = True,
-        library: ctypes.CDLL | None = None,
-    ) -> None:
+    def __init__(self, model: Model, *, compiled: bool = True) -> None:
         self.model = model
         self.n_parameters = len(model.all_parameters)
         self.n_inputs = len(model.inputs)
@@ -117,12 +109,12 @@ class Kernel:
         n_memory = sum(len(effect.memory) for effect in model.effects)
         self.n_full = self.n_own + n_extra + n_memory
         self.n_columns = self.n_full + self.n_free
-        self._compiled, self._given = compiled, library
+        self._compiled = compiled
 
     @cached_property
     def library(self) -> ctypes.CDLL | None:
         """Compiled code, made when something is run; None where the interpreter runs."""
-        return self._given or (load(self.model) if self._compiled else None)
+        return load(self.model) if self._compiled else None
 
     def __reduce__(self) -> tuple[Any, ...]:
         return kernel, (self.model,)
