@@ -201,86 +201,56 @@ def speed_polar(
     angles, sheets = np.asarray(angles, dtype=float), np.asarray(sheets, dtype=float)
     if not angles.size or not sheets.size:
         raise ModelError("A polar needs at least one angle and one sheet angle.")
-    solver = _Solver(model, names, wind_speed, limits)
-    best = solver.trimmed(angles, sheets, dict(guess or {names.speed: 0.3 * wind_speed}))
-    sets = parameter_sets(fit, model, n_draws, rng)[1:]
-    drawn = [solver.drawn(values, angles, best) for values in sets]
-    states = {
-        key: np.array([math.nan if point is None else point[key] for point in best])
-        for key in (*solver.keys, names.sheet)
-    }
-    speeds = np.array(drawn).reshape(-1, len(angles))
-    return SpeedPolar(
-        model.name, wind_speed, angles, states[names.speed], states[names.sheet], states, speeds,
-        "" if fit is None else fit.caveat,
-    )  # fmt: skip
 
+    keys = (*model.state_names, names.helm)
 
-class _Solver:
-    """Steady sailing of one model at one wind speed."""
-
-    def __init__(
-        self, model: Model, names: SailingNames, wind_speed: float, limits: Limits | None
-    ) -> None:
-        self.model, self.names, self.wind_speed, self.limits = model, names, wind_speed, limits
-        self.keys = (*model.state_names, names.helm)
-
-    def start(self, point: Mapping[str, float]) -> dict[str, float]:
+    def start(point: Mapping[str, float]) -> dict[str, float]:
         """States and helm of a steady point, from which another is looked for."""
-        return {key: point[key] for key in self.keys}
-
-    def trimmed(
-        self, angles: np.ndarray, sheets: np.ndarray, begin: Mapping[str, float]
-    ) -> list[dict[str, float] | None]:
-        """The fastest of the sheets at each angle; None where no sheet sails.
-
-        Each search begins at the neighbouring sheet, the best of the neighbouring angle, or
-        ``begin``, whichever leads somewhere.
-        """
-        best: list[dict[str, float] | None] = []
-        for angle in angles:
-            found: list[dict[str, float]] = []
-            for sheet in sheets:
-                known = [point for point in (*found[-1:], *best[-1:]) if point is not None]
-                starts = [*map(self.start, known), begin]
-                points = (self.steady({}, angle, sheet, start) for start in starts)
-                if (point := next(filter(None, points), None)) is not None:
-                    found.append(point)
-            best.append(max(found, key=lambda point: point[self.names.speed], default=None))
-        return best
-
-    def drawn(
-        self,
-        values: np.ndarray,
-        angles: np.ndarray,
-        best: Sequence[Mapping[str, float] | None],
-    ) -> list[float]:
-        """Speed at every angle with other parameters, as trimmed; NaN where nothing sails."""
-        own = dict(zip(self.model.parameter_names, map(float, values), strict=True))
-        found = (
-            point and self.steady(own, angle, point[self.names.sheet], self.start(point))
-            for angle, point in zip(angles, best, strict=True)
-        )
-        return [point[self.names.speed] if point else math.nan for point in found]
+        return {key: point[key] for key in keys}
 
     def steady(
-        self,
-        values: Mapping[str, float],
-        angle: float,
-        sheet: float,
-        guess: Mapping[str, float],
+        sailing: Model, angle: float, sheet: float, guess: Mapping[str, float]
     ) -> dict[str, float] | None:
         """States and inputs of steady sailing; None where there is none ahead."""
-        names = self.names
-        given = names.sheet, names.wind_speed, names.wind_from
         point = equilibrium(
-            self.model.with_values(dict(values)) if values else self.model,
-            inputs=dict(zip(given, (float(sheet), self.wind_speed, 0.0), strict=True)),
+            sailing,
+            inputs={names.sheet: float(sheet), names.wind_speed: wind_speed, names.wind_from: 0.0},
             # With the wind from north, wind from starboard means a heading to port of it.
             fixed={names.heading: -float(angle)},
             free=(names.helm,),
             guess={key: value for key, value in guess.items() if key != names.heading},
-            limits=self.limits,
+            limits=limits,
         )
         found = {**point.states, **point.inputs}
         return found if point.ok and found[names.speed] > 0 else None
+
+    def trimmed(angle: float, known: Mapping[str, float] | None) -> dict[str, float] | None:
+        """The fastest of the sheets at one angle; None where no sheet sails."""
+        found: list[dict[str, float]] = []
+        for sheet in sheets:
+            # From the neighbouring sheet or angle, or as told, whichever leads somewhere.
+            starts = [*map(start, filter(None, (*found[-1:], known))), begin]
+            points = (steady(model, angle, sheet, one) for one in starts)
+            if (point := next(filter(None, points), None)) is not None:
+                found.append(point)
+        return max(found, key=lambda point: point[names.speed], default=None)
+
+    begin = dict(guess or {names.speed: 0.3 * wind_speed})
+    best: list[dict[str, float] | None] = []
+    for angle in angles:
+        best.append(trimmed(angle, best[-1] if best else None))
+    sets = parameter_sets(fit, model, n_draws, rng)[1:]
+    draws = np.full((len(sets), len(angles)), math.nan)
+    for row, values in enumerate(sets):
+        other = model.with_values(dict(zip(model.parameter_names, values.tolist(), strict=True)))
+        for column, (angle, point) in enumerate(zip(angles, best, strict=True)):
+            if point and (found := steady(other, angle, point[names.sheet], start(point))):
+                draws[row, column] = found[names.speed]
+    states = {
+        key: np.array([math.nan if point is None else point[key] for point in best])
+        for key in (*keys, names.sheet)
+    }
+    return SpeedPolar(
+        model.name, wind_speed, angles, states[names.speed], states[names.sheet], states, draws,
+        "" if fit is None else fit.caveat,
+    )  # fmt: skip
