@@ -25,26 +25,23 @@ autocorrelation, not a larger standard deviation.
 
 *Integration.* Root mean square change of the outputs when the step is halved, in units of noise.
 
-Every kind of concern is a row of :data:`CHECKS`: how it is found, what it takes, and its sentence.
+Every kind of concern has a function that finds it (:data:`CHECKS`) and a sentence, with what it
+takes, in ``concerns.toml``.
 
 What none of this can see: errors that the parameters absorb without a trace in the residuals.
 
 How much of every output a fitted model explains on its own, and whether that is enough.
 
 .. math::
-    s^2 = \frac{\sum_k (y_k - \hat y_k)^2}{\sum_k (y_k - \bar y)^2}, \qquad
-    s_h^2 = \frac{\sum_k (\Delta_h y_k - \Delta_h \hat y_k)^2}{\sum_k (\Delta_h y_k)^2}
+    s^2 = \frac{\sum_k (y_k - \hat y_k)^2}{\sum_k (y_k - \bar y)^2}
 
-with the model run on its own, :math:`\hat y`. A constant has :math:`s = 1`. Disturbance forces make
-a heading or a position drift away although the model answers rightly to every command; there the
-increments over :math:`h` samples count too, and the smallest of all shares is taken.
+with the model run on its own, :math:`\hat y`. A constant has :math:`s = 1`. Estimated noise, of
+sensors or of forces, can absorb whatever a model does not explain, so that the misfit is one and
+the iterations converge. :func:`grave` says so.
 
-Estimated noise, of sensors or of forces, can absorb whatever a model does not explain, so that
-the misfit is one and the iterations converge. :func:`grave` says so.
-
-A vehicle that disturbances carry away, an unstable one above all, leaves whole runs that say
-nothing. There the model's answer to the inputs counts, in innovations :math:`e` under the noise
-that the fit states: with :math:`e^0` those where all inputs stay at their means,
+Whole runs of a vehicle that disturbances carry away, an unstable one above all, say nothing. There
+the model's answer to the inputs counts, in innovations :math:`e` under the noise that the fit
+states: with :math:`e^0` those where all inputs stay at their means,
 
 .. math:: d^2 = \sum_k (e^0_k - e_k)^2 / S_k, \qquad g = \sum_k ({e^0_k}^2 - e_k^2) / S_k .
 
@@ -54,9 +51,11 @@ An output is explained where the answer shows, :math:`d > C`, and the records fa
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from importlib.resources import files
 from itertools import chain, islice
 from typing import Any, TypeVar
 
@@ -78,7 +77,7 @@ from oed_sysid.likelihood.departures import (
 from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate, once_a_fit
 from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
 from oed_sysid.likelihood.input_factors import input_factors
-from oed_sysid.likelihood.integration import BIAS, step_change
+from oed_sysid.likelihood.integration import step_change
 from oed_sysid.likelihood.laws import departures_beside, laws_of, loss_without, posed_again
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
@@ -96,6 +95,10 @@ from oed_sysid.runtime.constants import BEYOND, IMMATERIAL, MATERIAL, NEGLIGIBLE
 from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
 from oed_sysid.text.units import shown_unit
 
+# Sentences of every kind of concern.
+SAYS: dict[str, str] = tomllib.loads(
+    files(__package__).joinpath("concerns.toml").read_text("utf-8")
+)
 # A fit goes through the verdict as what it is.
 Judged = TypeVar("Judged", bound=Estimate)
 # Beyond so many times its scale no value is physical, and none that the records do not show.
@@ -104,8 +107,6 @@ UNPHYSICAL, UNSEEN = 1e8, 1e4
 BARELY = 1.0 - NEGLIGIBLE
 # Samples per unknown that are few.
 FEW = 3.0
-# Lengths of increments as shares of a record.
-HORIZONS = (0.02, 0.05, 0.125)
 # What a fit that ended early asks first; with the check at hand `advised` says what it found.
 LOOK = "See what the check of the log says (check, on the command line oed-sysid check)."
 # Where positions are measured, on either side of the origin.
@@ -165,53 +166,30 @@ class Concern:
 
 @dataclass(frozen=True)
 class Found:
-    """One thing that speaks against a fit: its size, where it is, and what its sentence names."""
+    """One thing that speaks against a fit: its size, where it is, and what its sentence names.
+
+    ``row`` is that of the sentence, where it is not the kind's.
+    """
 
     size: float
     signal: str = ""
     record: str = ""
     facts: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Check:
-    """One kind of concern.
-
-    Attributes
-    ----------
-    kind : str
-    find : callable
-        Gives what is found in a fit.
-    threshold : str
-        What it takes.
-    sentence : str
-        With the facts in braces.
-    """
-
-    kind: str
-    find: Callable[[Estimate], Iterable[Found]]
-    threshold: str
-    sentence: str
-
-    def concerns(self, fit: Estimate) -> tuple[Concern, ...]:
-        """What is found, in words."""
-        return tuple(
-            Concern(
-                self.kind,
-                one.signal,
-                one.record,
-                float(one.size),
-                self.sentence.format(**vars(one), **one.facts),
-            )
-            for one in self.find(fit)
-        )
+    row: str = ""
 
 
 def concerns_of(fit: Estimate, *kinds: str) -> tuple[Concern, ...]:
     """Concerns of some kinds, in the order of :data:`CHECKS`."""
     return tuple(
-        concern for check in CHECKS if check.kind in kinds for concern in check.concerns(fit)
+        concern for kind, find in CHECKS if kind in kinds for concern in _in_words(kind, find(fit))
     )
+
+
+def _in_words(kind: str, found: Iterable[Found]) -> Iterator[Concern]:
+    """Concerns of a kind, by its sentence or that of another row of the table."""
+    for one in found:
+        text = SAYS[one.row or kind].format(**vars(one), **one.facts)
+        yield Concern(kind, one.signal, one.record, float(one.size), text)
 
 
 def with_verdict(fit: Judged) -> Judged:
@@ -242,7 +220,7 @@ def judge(fit: Estimate) -> tuple[Concern, ...]:
         return (*found, *concerns_of(fit, "few_samples"))
     if not _has_numbers(fit):
         return found
-    return (*found, *concerns_of(fit, *({check.kind for check in CHECKS} - set(FATAL))))
+    return (*found, *concerns_of(fit, *({kind for kind, _ in CHECKS} - set(FATAL))))
 
 
 def fatal(fit: Estimate) -> tuple[Concern, ...]:
@@ -271,8 +249,8 @@ def grave(fit: Estimate, concerns: Sequence[Concern]) -> tuple[Concern, ...]:
         return ()
     found = [concern for concern in concerns if concern.kind in GRAVE]
     named = {concern.signal for concern in found}
-    more = (concern for concern in UNEXPLAINED.concerns(fit) if concern.signal not in named)
-    return (*found, *more)
+    more = _in_words("degenerate", _unexplained(fit))
+    return (*found, *(concern for concern in more if concern.signal not in named))
 
 
 def _has_numbers(fit: Estimate) -> bool:
@@ -395,8 +373,9 @@ def _zeros(fit: Estimate) -> Iterator[Found]:
         own = off[:, problem.levels.coloured.tolist().index(column)]
         factor, unit = shown_unit(fit.model.outputs[column].unit)
         span = dict.fromkeys(f"{factor * one:.3g}" for one in (own.min(), own.max()))
-        yield Found(float(own.mean()), fit.model.output_names[column],
-                    facts={"span": " to ".join(span), "unit": unit})  # fmt: skip
+        facts = {"span": " to ".join(span), "unit": unit}
+        name = fit.model.output_names[column]
+        yield Found(float(own.mean()), name, facts=facts, row="zero")
 
 
 def _autocorrelations(fit: Estimate) -> Iterator[Found]:
@@ -468,7 +447,7 @@ def _absorbed(fit: Estimate) -> Iterator[Found]:
 def _excluded(fit: Estimate) -> Iterator[Found]:
     """Spikes that the fit has left out."""
     for name, (count, total) in fit.excluded.items():
-        yield Found(count, name, facts={"total": total})
+        yield Found(count, name, facts={"total": total}, row="excluded")
 
 
 def _spikes(fit: Estimate) -> Iterator[Found]:
@@ -652,7 +631,7 @@ def _integration(fit: Estimate) -> Iterator[Found]:
         if fit.model.integrator != "implicit":
             stiff = ", or take Model(integrator='implicit') if some motions die out within a step"
         step = fit.model.step
-        facts = {"finer": 0.5 * step, "step": step, "stiff": stiff}
+        facts = {"finer": 0.5 * step, "step": step, "stiff": stiff, "limit": MATERIAL}
         yield Found(change.size, change.output, change.record, facts)
 
 
@@ -669,8 +648,8 @@ def _finer(fit: Estimate) -> Iterator[Found]:
 class _Motion:
     """How measured signals move, and what the model on its own leaves of it, by output.
 
-    Sums of squares ``(n_outputs,)`` about the mean of each record, or of increments: of the
-    signals ``own``, of the model ``moved``, of their difference ``left``.
+    Sums of squares ``(n_outputs,)``: about the mean of each record of the signals ``own`` and of
+    the model ``moved``, and of their difference ``left``.
     """
 
     count: np.ndarray
@@ -679,8 +658,8 @@ class _Motion:
     left: np.ndarray
 
     @classmethod
-    def of(cls, fit: Estimate, lag: float = 0.0) -> _Motion:
-        """Of the records as they are, or of increments over a share of each."""
+    def of(cls, fit: Estimate) -> _Motion:
+        """Of all records."""
         sums = np.zeros((4, len(fit.model.outputs)))
         for record, part in zip(fit.dataset, fit.predictions, strict=True):
             for column, series in enumerate(record.outputs.T):
@@ -689,14 +668,9 @@ class _Motion:
                 if not len(signal):
                     continue
                 with np.errstate(over="ignore", invalid="ignore"):
-                    rest = signal - model
-                    if lag:
-                        h = max(int(lag * len(signal)), 1)
-                        signal, model, rest = (x[h:] - x[:-h] for x in (signal, model, rest))
-                    else:
-                        signal, model = signal - signal.mean(), model - model.mean()
-                    squares = signal @ signal, model @ model, rest @ rest
-                sums[:, column] += (int(seen.sum()), *squares)
+                    apart = signal - signal.mean(), model - model.mean(), signal - model
+                    squares = (part @ part for part in apart)
+                    sums[:, column] += (len(signal), *squares)
         return cls(*sums)
 
     @property
@@ -745,14 +719,12 @@ def unexplained(fit: Estimate) -> dict[str, float]:
     Returns
     -------
     dict
-        Root of the smallest ratio of squares: 0 where everything is explained, 1 where a
-        constant is as good; NaN where nothing, or next to nothing, was measured.
+        Root of a ratio of squares: 0 where everything is explained, 1 where a constant is as good;
+        NaN where nothing, or next to nothing, was measured.
     """
-    lags = (0.0, *(HORIZONS if fit.innovations is not None else ()))
-    motions = [_Motion.of(fit, lag) for lag in lags]
-    least = np.min([np.nan_to_num(one.share, nan=np.inf) for one in motions], axis=0)
-    told = np.isfinite(least) & (motions[0].count >= MINIMUM_SAMPLES)
-    shares = np.where(told, least, np.nan)
+    motion = _Motion.of(fit)
+    told = np.isfinite(motion.share) & (motion.count >= MINIMUM_SAMPLES)
+    shares = np.where(told, motion.share, np.nan)
     return dict(zip(fit.model.output_names, map(float, shares), strict=True))
 
 
@@ -769,7 +741,7 @@ def _unexplained(fit: Estimate) -> Iterator[Found]:
     found = [name for name in poor if moving[name]]
     excused = _carried_away(fit) if found and fit.innovations is not None else ()
     for name in (name for name in found if name not in excused):
-        yield Found(shares[name], name, facts={"what": what})
+        yield Found(shares[name], name, facts={"what": what}, row="unexplained")
 
 
 def _carried_away(fit: Estimate) -> list[str]:
@@ -816,7 +788,8 @@ def _answers(fit: Estimate) -> tuple[np.ndarray, np.ndarray]:
 def _few_samples(fit: Estimate) -> Iterator[Found]:
     ratio = fit.n_observations / max(fit.n_unknowns, 1)
     if ratio < FEW and fit.n_unknowns:
-        yield Found(ratio, facts={"n": fit.n_observations, "unknowns": fit.n_unknowns})
+        facts = {"n": fit.n_observations, "unknowns": fit.n_unknowns, "least": FEW}
+        yield Found(ratio, facts=facts)
 
 
 def _records_differ(fit: Estimate) -> Iterator[Found]:
@@ -854,160 +827,29 @@ def _follows(fit: Estimate) -> Iterator[Found]:
                 yield Found(told[signal], name, facts=facts)
 
 
-# The gravest first.
-CHECKS = (
-    Check(
-        "runaway", _runaway, f"{UNPHYSICAL:g} scales ({UNSEEN:g} where nothing shows a value)",
-        "{signal} ran away to {value:.3g}{unit}, far beyond any scale. Start closer, "
-        "bound the parameters, or fix those that the records do not show.{cure}",
-    ),
-    Check(
-        "integration", _integration, f"{MATERIAL:g} noise levels",
-        "The trajectories depend on the integration step: with {finer:g} s instead of "
-        "{step:g} s, {signal} of record {record!r} changes by {size:.3g} noise levels "
-        f"(expected below {MATERIAL:g}). Reduce model.step and fit again{{stiff}}; if that "
-        "does not help, a force of the model jumps where the state passes some value: make it "
-        "continuous.",
-    ),
-    Check(
-        "degenerate", _degenerate, f"{BARELY:g} of the squares about the mean are left",
-        "The residual of {signal} is {size:.3g} times as large as the signal about "
-        "its mean ({how}): a constant explains it as well. Start closer (start='near' "
-        "with values of the right sign and size), check signs and units, or bound the "
-        "parameters.",
-    ),
-    Check(
-        "few_samples", _few_samples, f"fewer than {FEW:g} samples per unknown",
-        "{n} samples for {unknowns} unknowns: residuals are small "
-        f"whatever the model is (at least {FEW:g} samples per unknown expected). Measure "
-        "longer, or fix what is known.",
-    ),
-    Check(
-        "process_noise", _process_noise, "the fit with process noise failed",
-        "Process noise seems to act (2 delta ln L is about {size:.3g} by the score "
-        "test), but the fit with it ended with {failed!r}: these values are from the "
-        "fit without it. Look for what is missing with improve() and for faults of the log "
-        "with `oed-sysid check`, or name the disturbed equations, such as "
-        "disturbances=('Z', 'M').",
-    ),
-    Check(
-        "constraint", _binding, "any bound or constraint that the optimum lies beyond",
-        "{text} binds: the optimum of the records lies {beyond:.3g} beyond ({size:.2g} standard "
-        "errors). Standard errors are of values within it; where the records are right about it, "
-        "widen it, else look for what bends them.",
-    ),
-    Check("input_factor", _input_factors, "see likelihood.input_factors", "{text}"),
-    Check(
-        "records_differ", _records_differ, "a chance of 1 %; see between_records.exceeds",
-        "Estimates scatter between the {n} records by more than their "
-        "standard errors say: {worst}{more}. Something acts that no parameter says and that "
-        "differs from record to record. Use the errors between records (fit.record_errors, "
-        "fit.with_record_errors(); jackknife() refits), and look for what is missing with "
-        "improve().",
-    ),
-    Check(
-        "finer_step", _finer, f"{BIAS:g} standard errors; see integration.resolved",
-        "The fit was made by steps of {step:.3g} s, as its values depend on those of {own:.3g} s "
-        "that the model had{by}. Give the model the finer step.",
-    ),
-    Check(
-        "spikes", _excluded, "any",
-        "{size} of {total} samples of {signal} excluded as spikes. Look at them: a "
-        "sensor that jumps is repaired, not fitted.",
-    ),
-    Check(
-        "spikes", _spikes, "see noise_levels.spike_masks",
-        "{size} of {n} samples of {signal} stand out alone{side}, by up to "
-        "{largest:.3g} times their usual distance from their neighbours "
-        "(normal noise: {expected:.1g} beyond four). They bias the fit "
-        "and its errors: mark them NaN, or use MultipleShooting(loss='auto'), which leaves "
-        "them out.",
-    ),
-    Check(
-        "delay", partial(_departure, ("late", "acts late")),
-        f"{BEYOND:g} standard errors; see departures.clear_departure",
-        "The residuals look as if {what}{or} {verb} {value:.3g} ± {error:.2g} s {late} "
-        "(expected none). Compare the clocks of "
-        "the log, and shift {what}, or add a delay or lag to the model.",
-    ),
-    Check(
-        "offset", partial(_departure, ("off",)),
-        f"{BEYOND:g} standard errors; see departures.clear_departure",
-        "The residuals look as if {signal}{or} reads {value:.3g} ± {error:.2g} {unit} too {side} "
-        "in all records (expected none), and parameters bend to that. Check its zero, or let it be "
-        "estimated: sensor_bias of oed_sysid.physics.",
-    ),
-    Check(
-        "offset", _zeros, f"{1.0 + MATERIAL:g} standard deviations of their noise",
-        "{signal} reads {span} {unit} too high in each record (expected 0), which is estimated "
-        "with all else: parameters do not follow it, and their errors hold it. Check its zero.",
-    ),
-    Check(
-        "scale", partial(_departure, ("scale",)),
-        f"{BEYOND:g} standard errors; see departures.clear_departure",
-        "The residuals look as if the scale of {signal}{or} were {share:+.2g} ± {doubt:.2g} % off "
-        "(expected none), and parameters bend to that. Check its calibration and unit, or let it "
-        "be estimated: sensor_scale of oed_sysid.physics.",
-    ),
-    Check(
-        "lever", partial(_departure, tuple(SIDES)),
-        f"{BEYOND:g} standard errors; see departures.clear_departure",
-        "The residuals look as if {what}{or} were measured {value:.3g} ± {error:.2g} m {side} the "
-        "origin of the model (expected at the origin), and parameters bend to that. Find out where "
-        "the receiver is, and write its place into the outputs, such as x + a*cos(psi).",
-    ),
-    Check(
-        "actuator_start", _starts, f"{BEYOND:g} standard errors; see departures.clear_starts",
-        "In {record!r}{others} {effect} did not begin at the first command of "
-        "{signal}, but {value:.2g} ± {error:.2g} {unit} beside it, and "
-        "parameters bend to that. Let the start of each record be estimated: "
-        "unknown_start(effect, std) of oed_sysid.physics, or begin records later.",
-    ),
-    Check(
-        "noise_level", _levels, f"{BEYOND:g} standard errors and a factor of {1.0 + MATERIAL:g}",
-        "Noise of {signal}: declared {declared:.3g} {unit}, found {found:.3g} ({size:.2f} times, "
-        "95 % {low:.2f} to {high:.2f}). {so}",
-    ),
-    Check(
-        "absorbed", _absorbed, f"a factor of {WORTH_TELLING:g}, of correlated residuals",
-        "The estimated noise of {signal}, {sigma:.3g} {unit}, is {size:.3g} times its "
-        "high-frequency content ({floor:.3g}): it "
-        "holds what the model does not explain. A misfit of one says nothing here; "
-        "declare noise_std, check signs and units, or look for what is missing.",
-    ),
-    Check(
-        "input_noise", _inputs, f"a chance of {100 * RARE:g} %, and {IMMATERIAL:g} noise levels",
-        "White noise of {level:.3g} {unit} on the log of input {signal} explains what disturbs the "
-        "vehicle {how}; fed to the model it moves the outputs by {size:.2g} noise levels. The "
-        "vehicle answers to the true input. The fit holds that noise; where the command is logged, "
-        "too, fit it instead of the measurement.",
-    ),
-    Check(
-        "narrow_band", _narrow_bands, "a chance of 1 %; see covariance.clear_peaks",
-        "Innovations of {signal} have a narrow band about a period of {size:.2g} s "
-        "({ratio:.1f} times the power of white ones): waves that one sea does not "
-        "describe, or motion that the model lacks. Standard errors are from the sandwich "
-        "covariance, which holds that band; estimates are not as precise as they could be.",
-    ),
-    Check(
-        "autocorrelation", _autocorrelations,
-        f"the chance of {BEYOND:g} standard errors (Ljung-Box), or of lag one",
-        "{what} of {signal} are correlated: {n} samples count as {effective:.0f}, expected "
-        "{n}. {todo}",
-    ),
-    Check(
-        "per_record_follows", _follows, f"a chance of {CHANCE:g}, all signals together",
-        "{signal}, estimated per record, follows the amplitude of {follows} over {n} records "
-        "(correlation {size:+.2f}, by chance in {chance:.1g} % of cases): it "
-        "stands for physics that grows with {follows}, and predictions beyond these "
-        "amplitudes will err. Make it one value for all records and look for what is "
-        "missing with improve().",
-    ),
-)  # fmt: skip
-# Asked once a fit has converged.
-UNEXPLAINED = Check(
-    "degenerate", _unexplained, f"{BARELY:g} of the squares about the mean are left",
-    "A constant explains {signal} as well as the model on its own does (what is left "
-    "is {size:.3g} times its movement; {what}). Check signs, units and "
-    "clocks with `oed-sysid check`, and look for what is missing with improve().",
-)  # fmt: skip
+# How every kind of concern is found, the gravest first.
+CHECKS: tuple[tuple[str, Callable[[Estimate], Iterable[Found]]], ...] = (
+    ("runaway", _runaway),
+    ("integration", _integration),
+    ("degenerate", _degenerate),
+    ("few_samples", _few_samples),
+    ("process_noise", _process_noise),
+    ("constraint", _binding),
+    ("input_factor", _input_factors),
+    ("records_differ", _records_differ),
+    ("finer_step", _finer),
+    ("spikes", _excluded),
+    ("spikes", _spikes),
+    ("delay", partial(_departure, ("late", "acts late"))),
+    ("offset", partial(_departure, ("off",))),
+    ("offset", _zeros),
+    ("scale", partial(_departure, ("scale",))),
+    ("lever", partial(_departure, tuple(SIDES))),
+    ("actuator_start", _starts),
+    ("noise_level", _levels),
+    ("absorbed", _absorbed),
+    ("input_noise", _inputs),
+    ("narrow_band", _narrow_bands),
+    ("autocorrelation", _autocorrelations),
+    ("per_record_follows", _follows),
+)
