@@ -47,7 +47,7 @@ from oed_sysid.design import (
 from oed_sysid.design.vehicles import at_least, draw_models
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.information import identifiable_subset, information_of
-from oed_sysid.information.identifiability import ASSUMED, COLLINEARITY_LIMIT
+from oed_sysid.information.identifiability import ASSUMED
 from oed_sysid.information.response import commanded_runs
 from oed_sysid.likelihood.realisation import drawn_disturbances
 
@@ -148,7 +148,7 @@ def set_of(key: str, name: str, variant: str | None, run: str | None) -> Row:
     found = identifiable_subset(information, values)
     sizes = np.array([abs(values[n]) or model.parameter(n).magnitude for n in information.names])
     gram = information.matrix * np.outer(sizes, sizes)
-    size, index = best_by_trial(gram, ASSUMED, COLLINEARITY_LIMIT)
+    size, index = best_by_trial(gram, ASSUMED, found.limit)
     own = [place for place in found.places if place.free]
     errors = errors_by_differences(model, runs, [place.name for place in own])
     units = [sizes[information.names.index(place.name)] for place in own]

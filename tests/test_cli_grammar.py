@@ -303,7 +303,6 @@ def test_time_left_of_a_fit_follows_its_convergence() -> None:
 def test_progress_in_a_pipe_is_plain_lines(monkeypatch, capsys) -> None:
     """Without a terminal progress is lines on standard error, none for what is quick."""
     monkeypatch.setattr(terminal, "PATIENCE", 0.05)
-    monkeypatch.setattr(terminal, "EVERY", 0.05)
     with terminal.progress("Quick"):
         pass
     assert capsys.readouterr().err == ""

@@ -204,7 +204,7 @@ def test_refinement_resumes_in_the_middle(tmp_path: Path, monkeypatch: pytest.Mo
     from oed_sysid.design import Search, Trial, design_experiment
     from oed_sysid.runtime import journal as module
 
-    monkeypatch.setattr(module, "EVERY", 0.0)
+    monkeypatch.setattr(module, "NEGLIGIBLE", np.inf)  # every state is kept
     problem = load_problem("auv_diving_plane")
 
     def run(journal: Journal | None, stop_after: int) -> tuple[float, int]:

@@ -21,6 +21,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from oed_sysid.cli import INTERRUPTED
 from oed_sysid.cli.arguments import FORM, QUIET
+from oed_sysid.runtime.constants import IMMATERIAL
 from oed_sysid.runtime.display import plain
 from oed_sysid.runtime.files import write_text
 
@@ -33,8 +34,8 @@ if TYPE_CHECKING:
 
 # A file name that means standard output.
 STANDARD = Path("-")
-# Seconds after which a calculation says how far it is, and then how often where lines stay.
-PATIENCE, EVERY = 2.0, 10.0
+# Seconds after which a calculation says how far it is, and at least between lines that stay.
+PATIENCE = 2.0
 # Bold red, and back.
 _RED, _PLAIN = "\x1b[1;31m", "\x1b[0m"
 
@@ -300,7 +301,7 @@ def progress(what: str, journal: Journal | None = None) -> Iterator[Shown]:
     lasting = not stream.isatty()
 
     def tell() -> None:
-        width, wait = 0, PATIENCE
+        width, wait, begun = 0, PATIENCE, time.monotonic()
         while not ended.wait(wait):
             line = shown.line
             try:
@@ -312,7 +313,8 @@ def progress(what: str, journal: Journal | None = None) -> Iterator[Shown]:
                     width = len(line)
             except (OSError, ValueError):  # the stream is closed
                 return
-            wait = EVERY if lasting else 0.2
+            # Lines that stay come the more seldom the longer it takes.
+            wait = max(PATIENCE, IMMATERIAL * (time.monotonic() - begun)) if lasting else 0.2
         if width:
             print(f"\r{'':<{width}}\r", end="", file=stream, flush=True)
 

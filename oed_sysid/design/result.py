@@ -28,6 +28,7 @@ from oed_sysid.information.noise import sea_words
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import IMMATERIAL
 from oed_sysid.runtime.display import (
     TWO_SIDED_95,
     Figure,
@@ -43,8 +44,6 @@ from oed_sysid.runtime.display import (
 from oed_sysid.runtime.files import make_folder, write_text
 from oed_sysid.text.csv_table import write_table
 
-# Relative error up to which a coefficient counts as found.
-_GOOD = 0.05
 STAND_BY = "Stand by to stop, or begin with a gentle run and plan from its fit."
 
 
@@ -320,8 +319,8 @@ class Design(_Accuracy):
         """Accuracy beside standard manoeuvres, and which parameters will be found."""
         lines = self._remarks()
         for title, low, high in (
-            (f"Found to {_GOOD:.0%} or better", 0.0, _GOOD),
-            (f"Found to {TRUSTED:.0%}", _GOOD, TRUSTED),
+            (f"Found to {IMMATERIAL:.0%} or better", 0.0, IMMATERIAL),
+            (f"Found to {TRUSTED:.0%}", IMMATERIAL, TRUSTED),
             ("NOT found by this run; hold at nominal values, or add runs", TRUSTED, np.inf),
         ):
             inside = (low < self.relative_errors) & (self.relative_errors <= high)

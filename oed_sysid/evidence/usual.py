@@ -24,6 +24,7 @@ from oed_sysid.evidence.check import LogCheck
 from oed_sysid.evidence.propose import HORIZONTAL, Factors, Term, cyclic, product_text
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.experiments.simulation import simulate
+from oed_sysid.likelihood.covariance import FEWEST
 from oed_sysid.likelihood.disturbances import disturbance, equation_units, places
 from oed_sysid.likelihood.start_guess import (
     check_channels,
@@ -51,8 +52,6 @@ from oed_sysid.text.units import dimension
 
 # Typical sizes, as shares of the accelerations, inertia and lift seen, and of what signals do.
 SHARE = 0.2
-# Periods that a record holds at least of a periodic force.
-FEWEST_PERIODS = 5.0
 # A lag in samples; the most steps that the register of a delay may hold.
 LAG, LONGEST = 2.0, 12
 # Motions that a vehicle with a plane of symmetry couples: in the plane, and across it.
@@ -314,7 +313,8 @@ def _hidden_states(model: Model, sizes: Sizes) -> Iterator[Effect]:
 
 def _waves(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """A periodic force in every equation, of any frequency that the records tell."""
-    low, high = FEWEST_PERIODS * 2.0 * np.pi / sizes.duration, np.pi / (LAG * sizes.sample)
+    # As periods of innovations are searched.
+    low, high = 2.0 * np.pi * FEWEST / sizes.duration, 2.0 * np.pi / (FEWEST * sizes.sample)
     for one in _equations(model, sizes) if high > low else ():
         yield from listed("usual_wave", **one.facts, low=low, high=high)
 

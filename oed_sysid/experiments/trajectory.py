@@ -20,8 +20,9 @@ from oed_sysid.physics.model import Model
 from oed_sysid.runtime.constants import RUNAWAY
 from oed_sysid.runtime.threads import in_chunks
 
-# Real-axis limit of stability of the classical Runge-Kutta method.
-_STABLE_PRODUCT = 2.78
+# Real-axis limit of stability of the classical Runge-Kutta method: |1 + z + z^2/2 + z^3/6 + z^4/24|
+# is one again where 1 + z/2 + z^2/6 + z^3/24 vanishes.
+_STABLE_PRODUCT = -float(np.roots([1.0 / 24.0, 1.0 / 6.0, 1.0 / 2.0, 1.0]).real.min())
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,9 +22,6 @@ from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Report, Section, Table, as_dict, as_text, share
 from oed_sysid.text import notation
 
-# Brun et al. call subsets between 10 and 15 critical.
-COLLINEARITY_LIMIT = 15.0
-
 
 def collinearity_index(information: Information, names: Sequence[str] | None = None) -> float:
     r"""Collinearity index of a set of parameters.
@@ -218,7 +215,7 @@ def identifiable_subset(
     information: Information,
     values: Mapping[str, float],
     *,
-    limit: float = COLLINEARITY_LIMIT,
+    limit: float = 15.0,
     largest_error: float | None = None,
     assumed: Mapping[str, float] | None = None,
     motions: Mapping[str, np.ndarray] | None = None,
@@ -246,7 +243,7 @@ def identifiable_subset(
     values : mapping of str to float
         Values, which make sensitivities relative; a zero counts as its scale.
     limit : float
-        Largest collinearity index.
+        Largest collinearity index; Brun et al. call subsets between 10 and 15 critical.
     largest_error : float
         Largest relative standard error that any of them may have; by default what is assumed of
         each: data that know less than that do not determine it.

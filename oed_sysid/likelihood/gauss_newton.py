@@ -80,10 +80,6 @@ MOST_DAMPING = 10.0
 # goes on alone; and the fall of the cost over these that is too small to go on for, least and in
 # tolerances: its gradient leads to and fro.
 FEW, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
-# Step, in standard deviations of the noise's unknowns, by which information is differentiated: ten
-# times as long it leaves a tenth of a nat more, and a very short one drowns in the rounding that an
-# unstable vehicle amplifies.
-SHORT = 0.1
 
 
 # -- points ------------------------------------------------------------------------
@@ -298,8 +294,10 @@ def restricted(problem: Filtered, point: Point) -> Iterate:
 
     def derived() -> tuple[np.ndarray, np.ndarray]:
         matrix, right = _of_the_filter(problem, unknowns)
-        # Smooth in the noise: a tenth of a standard deviation is a short step.
-        lengths = SHORT * differences(problem, matrix, unknowns)
+        # A tenth of a standard deviation of the noise's unknowns: ten times as long a step leaves a
+        # tenth of a nat more, a very short one drowns in the rounding that an unstable vehicle
+        # amplifies.
+        lengths = IMMATERIAL * differences(problem, matrix, unknowns)
         for index in range(levels.start, levels.stop):
             moved = unknowns.copy()
             moved[index] += lengths[index]

@@ -47,12 +47,13 @@ from oed_sysid.compiled.filtering import (
 )
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.disturbances import DISTURBANCE
-from oed_sysid.runtime.constants import ROUNDING
+from oed_sysid.runtime.constants import NEGLIGIBLE, ROUNDING
 
 SHAPES = {"jonswap": FOURTH, "velocity": -1, "displacement": 1}
-# Steps of a period over which the force of a sea is held at most: a wave held that long loses 1 %
-# of its amplitude (sinc(1/12)); half as many steps lose 4 %, twice as many 0.3 % and cost twice.
-STEPS_OF_PERIOD = 12
+# Steps of a period over which the force of a sea is held at most: a wave held over an n-th of its
+# period loses the share 1 - sinc(1/n) = pi^2/(6 n^2) of its amplitude. These are twelve; half as
+# many lose 4 %, twice as many 0.3 % and cost twice.
+STEPS_OF_PERIOD = int(np.pi / np.sqrt(6.0 * NEGLIGIBLE))
 
 
 @dataclass(frozen=True)
@@ -456,7 +457,7 @@ def disturbance_names(at_places: Sequence[str]) -> tuple[str, ...]:
 
 
 # Smallest white variance, as a share of its unit: the filter must stay regular.
-WHITE_FLOOR = 1e-4
+WHITE_FLOOR = NEGLIGIBLE**2
 # Standard deviation of the prior of the logarithm of a correlation time.
 VAGUE_TIME = 2.0
 # Shortest time in samples, longest as a share of the shortest record.

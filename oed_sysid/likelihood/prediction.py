@@ -7,8 +7,8 @@ covariance is ``C``, by those estimates, and by process noise and autocorrelated
 .. math:: V(t) = J(t)\, C\, J(t)' + J_s(t)\, C_s\, J_s(t)' + \overline{r_b(t)^2}
 
 with ``J`` the derivatives after the start was estimated anew, and ``r_b`` what that leaves of the
-departures of runs that are drawn under process noise. Where parameters are poorly known so that
-first order misleads, ``V`` is the mean square of runs in which they are drawn too.
+departures of runs that are drawn under process noise. Where first order misleads, ``V`` is the mean
+square of runs in which parameters and starts are drawn too.
 
 Estimated series of unknown inputs, read off a fit; see :mod:`oed_sysid.physics.unknown`.
 """
@@ -145,8 +145,6 @@ WAYS = {
 }
 
 Initial = str | StartState
-# Relative standard error of a parameter from which bands are drawn, where it matters for them.
-DRAWN = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -348,7 +346,7 @@ def _variance(
             spread.mean_square(runs, run.outputs, CHUNK).mean(axis=0, keepdims=True)
             for runs in (linear, alone)
         )
-        if _poorly_known(run.shooting.model, covariance) or misleads(first, few):
+        if misleads(first, few):
             drawn = spread.mean_square(alone, run.outputs)
             variance = np.where(np.isfinite(variance), drawn, variance)
     return variance
@@ -383,13 +381,6 @@ def _spread(
         (shooting.limits.lower, shooting.limits.upper),
     )
     return spread, answer
-
-
-def _poorly_known(model: Model, covariance: np.ndarray) -> bool:
-    """Whether some shared parameter's error is too large for a first-order band."""
-    errors, shared = np.sqrt(np.diag(covariance)), model.free_parameters
-    sizes = np.array([1.0 if p.log else abs(p.value) for p in shared if not p.per_record])
-    return bool(np.any(np.isfinite(errors) & (errors > DRAWN * sizes)))
 
 
 def _carry(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -44,12 +44,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from oed_sysid.errors import DataError, FileError
+from oed_sysid.runtime.constants import NEGLIGIBLE
 from oed_sysid.runtime.files import private_cache, secret_key, write_bytes, write_text
 
 Result = TypeVar("Result")
 
-# Seconds between two states of an unfinished step.
-EVERY = 0.5
 _SUFFIX, _STATE, _CELL = ".step", ".state", ".cell"
 
 
@@ -91,7 +90,7 @@ class Journal:
         self._count = 0
         self._names: dict[int, str] = {}
         self._shared: dict[str, Any] = {}
-        self._last = -np.inf
+        self._last, self._took = -np.inf, 0.0
 
     def open(self, content: Any, *, shared: Mapping[str, Any] | None = None) -> None:
         """Begin a calculation.
@@ -174,11 +173,13 @@ class Journal:
         return self._read(self._key_of_work(), part=True)
 
     def keep(self, state: Any) -> None:
-        """Keep the state of the step now in work, if the last one is some time ago."""
-        if self.place is None or time.monotonic() - self._last < EVERY:
+        """Keep the state of the step now in work, as often as that takes next to no time."""
+        begun = time.monotonic()
+        if self.place is None or NEGLIGIBLE * (begun - self._last) < self._took:
             return
         self._write(self._key_of_work(), state, part=True)
         self._last = time.monotonic()
+        self._took = self._last - begun
 
     def _key_of_work(self) -> str:
         return f"{self._count:03d} state"
