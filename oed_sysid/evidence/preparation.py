@@ -38,8 +38,6 @@ from oed_sysid.runtime.constants import NEGLIGIBLE
 # Share of a record that is learnt from, and least samples of either part.
 LEARNT = 0.6
 LEAST_SAMPLES = 5 * LEAST
-# A search reads about this many samples, and looks at no more frequencies: seconds of time.
-ENOUGH = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +60,7 @@ class Prepared:
     whole: Dataset | None = None
 
 
-def prepared(train: Dataset, validation: Dataset | None, *, enough: int = ENOUGH) -> Prepared:
+def prepared(train: Dataset, validation: Dataset | None, *, enough: int = 20_000) -> Prepared:
     """Keep a part for validation where none is given, and thin what is very long.
 
     Parameters
@@ -70,7 +68,7 @@ def prepared(train: Dataset, validation: Dataset | None, *, enough: int = ENOUGH
     train : Dataset
     validation : Dataset or None
     enough : int
-        About how many samples are read.
+        About how many samples are read: a search then takes minutes.
 
     Examples
     --------

@@ -36,6 +36,7 @@ from scipy.integrate import cumulative_trapezoid
 from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.record import Record, unwrapped
 from oed_sysid.errors import DataError
+from oed_sysid.likelihood.start_guess import needed_by, touched
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
 from oed_sysid.text import expressions
@@ -179,7 +180,7 @@ def relations(
     shown = {o.source: o.name for o in outputs if o.source in model.state_names}
     measured = {state: shown[state] for state in model.state_names if state in shown}
     # Kinematics to which no effect adds anything.
-    free = measured.keys() - _touched(model)
+    free = measured.keys() - touched(model)
     stated = [(measured[s], text, True) for s, text in model.kinematics.items() if s in free]
     stated += [(o.name, o.source, False) for o in outputs if o.source not in shown]
     declared = [_declared(model, *one, measured) for one in stated]
@@ -189,25 +190,17 @@ def relations(
     return (*found, *standard(outputs, set(spare), taken))
 
 
-def _touched(model: Model) -> set[str]:
-    """States and signals to which an effect adds something."""
-    return {key for e in model.effects for key in e.terms if isinstance(key, str)}
-
-
 def _declared(
     model: Model, target: str, text: str, is_rate: bool, measured: Mapping[str, str]
 ) -> Relation | None:
     """Equation of the model over measured signals; None if anything unknown enters it."""
-    constants = {p.name: p.value for p in model.all_parameters if p.fixed}
-    plain = {name: model.signals[name] for name in model.signals.keys() - _touched(model)}
-    needed = _needed(text, {*measured}, {*constants, "t"}, plain)
-    used, inner = needed or ([], {})
+    used, inner, constants = needed_by(model, text, {*measured}) or ([], [], {})
     signals = tuple(dict.fromkeys(measured[s] for s in used))
     if not signals or (is_rate and not _is_kinematic(model, target, set(signals))):
         return None
     # Other names of measured signals, then inner signals in the order of the model.
     aliases = [(s, measured[s]) for s in dict.fromkeys(used) if measured[s] != s]
-    steps = [*aliases, *((name, inner[name]) for name in model.signals if name in inner)]
+    steps = [*aliases, *((name, model.signals[name]) for name in inner)]
     steps.append((f"{target}_prime_", text))
     return Relation(target, signals, text, is_rate, tuple(steps), constants)
 
@@ -219,32 +212,6 @@ def _is_kinematic(model: Model, target: str, signals: set[str]) -> bool:
         accelerations = {name for name in signals if units[name] in ("m/s^2", "rad/s^2")}
         return bool(accelerations)
     return target not in signals or units[target] == "rad"
-
-
-def _needed(
-    text: str, measured: set[str], constants: set[str], inner: Mapping[str, str]
-) -> tuple[list[str], dict[str, str]] | None:
-    """Measured names in an expression and in the inner signals it needs, and these signals.
-
-    None where anything else enters, a function of the user's included.
-    """
-    used: list[str] = []
-    found: dict[str, str] = {}
-    called = set(expressions.functions(text))
-    pending = sorted(expressions.names(text))
-    while pending:
-        name = pending.pop(0)
-        if name in measured:
-            used.append(name)
-        elif name in found:
-            continue
-        elif name in inner:
-            found[name] = inner[name]
-            called |= expressions.functions(inner[name])
-            pending += sorted(expressions.names(inner[name]))
-        elif name not in constants:
-            return None
-    return None if called - set(expressions.FUNCTIONS) else (used, found)
 
 
 def standard(

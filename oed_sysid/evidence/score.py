@@ -32,7 +32,6 @@ from itertools import pairwise, product
 import numpy as np
 
 from oed_sysid.compiled.filtering import FilterPass
-from oed_sysid.evidence.preparation import ENOUGH
 from oed_sysid.evidence.study import Study
 from oed_sysid.information.response import TANGENT
 from oed_sysid.likelihood.filtered import Filtered
@@ -403,7 +402,8 @@ def lines(
 
     longest = max((float(t[-1] - t[0]) for t in times if len(t) > 1), default=0.0)
     count = int(np.ceil((high - low) * longest * PER_CYCLE / (2.0 * np.pi))) + 1
-    if not (high > low and 3 <= count <= ENOUGH):
+    # Frequencies beyond those that samples show are not looked through.
+    if not (high > low and 3 <= count <= PER_CYCLE * max(map(len, times))):
         return np.zeros(0)
     frequencies = np.linspace(low, high, count)
     power = np.zeros(count)

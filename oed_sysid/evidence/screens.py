@@ -88,8 +88,8 @@ TAIL = 3.5
 SIDE = MINIMUM_SAMPLES
 # Samples around a group or a step that say what is usual.
 AROUND = 5 * SIDE
-# Samples of the longest group; what stays longer is a step.
-LONGEST = 12
+# Samples of the longest group: half of what says what is usual. What stays longer is a step.
+LONGEST = AROUND // 2
 # Share of samples or values from which on a signal is coarse, held or interpolated.
 HELD = 0.5
 

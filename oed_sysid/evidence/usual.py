@@ -52,8 +52,10 @@ from oed_sysid.text.units import dimension
 
 # Typical sizes, as shares of the accelerations, inertia and lift seen, and of what signals do.
 SHARE = 0.2
-# A lag in samples; the most steps that the register of a delay may hold.
-LAG, LONGEST = 2.0, 12
+# A lag in samples, half of the shortest period that they show.
+LAG = 0.5 * FEWEST
+# Most steps that the register of a delay may hold.
+LONGEST = 12
 # Motions that a vehicle with a plane of symmetry couples: in the plane, and across it.
 IN_PLANE, ACROSS = ("u", "w", "q"), ("v", "p", "r")
 # Angles whose sine turns a floating or submerged body back.

@@ -318,16 +318,12 @@ def outputs_of(
     fit: Estimate,
     index: int,
     inputs: np.ndarray,
-    values: np.ndarray | None = None,
     *,
-    first: np.ndarray | None = None,
     runner: Kernel | None = None,
 ) -> np.ndarray:
-    """Outputs of one record with other inputs (the first for what remembers) and values."""
-    record, runner = fit.dataset[index], runner or kernel(fit.model)
-    values = values_of(fit, index) if values is None else values
-    first = record.inputs[0] if first is None else first
-    start, _ = runner.start(fit.initial_states[index], first, values, record.times[0])
+    """Outputs of one record with other inputs; what remembers begins at its own first ones."""
+    record, values, runner = fit.dataset[index], values_of(fit, index), runner or kernel(fit.model)
+    start, _ = runner.start(fit.initial_states[index], record.inputs[0], values, record.times[0])
     return runner.run(record.times, inputs, values, start).outputs
 
 

@@ -31,11 +31,11 @@ from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts, StartState
 from oed_sysid.likelihood.whole_runs import CHUNK, WholeRun
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import MATERIAL
+from oed_sysid.runtime.constants import IMMATERIAL, MATERIAL
 
 # Mean over a run of drawn over first-order variances, of the same draws, from which (or below whose
-# inverse) first order misleads.
-MISLEADS = 1.2
+# inverse) first order misleads: bands that differ by less are the same.
+MISLEADS = (1.0 + IMMATERIAL) ** 2
 
 SimulateAll = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 

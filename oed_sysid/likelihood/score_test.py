@@ -34,7 +34,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from oed_sysid.compiled.filtering import FilterKernel, FilterPass, filter_kernel
-from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import MINIMUM_SAMPLES
 from oed_sysid.errors import SimulationError
 from oed_sysid.likelihood.departures import TWOFOLD
@@ -45,6 +45,7 @@ from oed_sysid.likelihood.gauss_newton import (
     FilteredSolution,
     solve_filtered,
 )
+from oed_sysid.likelihood.information import LONGEST_MEMORY
 from oed_sysid.likelihood.noise_levels import credible_levels, shown_in_log
 from oed_sysid.likelihood.noise_model import (
     LONGEST,
@@ -63,9 +64,8 @@ from oed_sysid.runtime.constants import IMMATERIAL, MATERIAL
 # Share of the white level seen in the high-frequency content that an estimate must leave standing.
 LEAST_SEEN = 1.0 - MATERIAL
 # Slow noise of a sensor, over what was declared or its high-frequency content shows, beyond which
-# it is none: noise with correlation 0.9 from sample to sample is at 4 times its high-frequency
-# content, with 0.98 at 10.
-DRIFTS = 10.0
+# it is none: noise of the longest memory is so many times its high-frequency content.
+DRIFTS = float(np.sqrt((1.0 + LONGEST_MEMORY) / (1.0 - LONGEST_MEMORY)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -470,21 +470,14 @@ def score_test(setting: Setting, start: Start, *, times: Sequence[float] = ()) -
     # The model on its own diverges: sizes from where it has not yet done so.
     length = max(record.n_samples for record in records) // 2
     while length >= MINIMUM_SAMPLES:
-        found = look(Dataset(tuple(_head(one, length) for one in records)), TIMES[0] * sample)
+        heads = (one.window(-np.inf, one.times[:length][-1]) for one in records)
+        found = look(Dataset(tuple(heads)), TIMES[0] * sample)
         if np.isfinite(found.gain):
             return replace(found, gain=np.inf)
         length //= 2
     raise SimulationError(
         f"Model {setting.model.name!r} diverges within {MINIMUM_SAMPLES} samples of the start of a "
         "record. Check signs and units of its values, or bound its parameters."
-    )
-
-
-def _head(record: Record, length: int) -> Record:
-    """The first samples of a record."""
-    part = slice(0, max(length, MINIMUM_SAMPLES))
-    return replace(
-        record, times=record.times[part], inputs=record.inputs[part], outputs=record.outputs[part]
     )
 
 

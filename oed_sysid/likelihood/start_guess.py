@@ -190,22 +190,23 @@ def _equations(
     model: Model, record: Record, slopes: Mapping[str, tuple[np.ndarray, float]]
 ) -> list[Equation]:
     """Parameter-free equations with a known left side, as functions of the states."""
-    touched = {key for e in model.effects for key in e.terms if isinstance(key, str)}
-    told = [
-        (text, slopes[s]) for s, text in model.kinematics.items() if s in slopes.keys() - touched
-    ]
-    told += _measured(model, record, touched)
-    found = [(_function(model, record, text, touched), known) for text, known in told]
+    free = slopes.keys() - touched(model)
+    told = [(text, slopes[s]) for s, text in model.kinematics.items() if s in free]
+    told += _measured(model, record)
+    found = [(_function(model, record, text), known) for text, known in told]
     return [(*one, *known) for one, known in found if one is not None]
 
 
-def _measured(
-    model: Model, record: Record, touched: set[str]
-) -> Iterator[tuple[str, tuple[np.ndarray, float]]]:
+def touched(model: Model) -> set[str]:
+    """States, signals and outputs to which an effect adds something."""
+    return {key for e in model.effects for key in e.terms if isinstance(key, str)}
+
+
+def _measured(model: Model, record: Record) -> Iterator[tuple[str, tuple[np.ndarray, float]]]:
     """Expressions of outputs that are no state, with their series and typical errors."""
     for column, output in enumerate(model.outputs):
         series = _filled(record, column)
-        known = output.source in model.state_names or output.name in touched
+        known = output.source in model.state_names or output.name in touched(model)
         if series is not None and not known:
             error = output.noise_std or 0.02 * (float(np.std(series)) + 1e-12)
             yield output.source, (series, error)
@@ -221,14 +222,13 @@ def _filled(record: Record, column: int) -> np.ndarray | None:
 
 
 def _function(
-    model: Model, record: Record, text: str, touched: set[str]
+    model: Model, record: Record, text: str
 ) -> tuple[Callable[[dict[str, np.ndarray]], np.ndarray], frozenset[str]] | None:
     """Expression as a function of the states; None if anything unknown enters it."""
-    needed = _needed(model, text, touched)
+    needed = needed_by(model, text, {*model.state_names})
     if needed is None:
         return None
-    used, ordered = needed
-    constants = {p.name: p.value for p in model.all_parameters if p.fixed}
+    used, ordered, constants = needed
 
     def evaluate(here: dict[str, np.ndarray]) -> np.ndarray:
         scope: dict[str, object] = {**constants, "t": record.times, **here}
@@ -236,27 +236,34 @@ def _function(
             scope[name] = expressions.to_numpy(model.signals[name], scope)
         return np.broadcast_to(expressions.to_numpy(text, scope), record.times.shape)
 
-    return evaluate, used
+    return evaluate, frozenset(used)
 
 
-def _needed(model: Model, text: str, touched: set[str]) -> tuple[frozenset[str], list[str]] | None:
-    """States and signals that an expression needs; None if it needs what is not known."""
-    known = {p.name for p in model.all_parameters if p.fixed} | {"t"}
-    states, signals = set(model.state_names), dict[str, str]()
-    used, pending = set[str](), {*expressions.names(text)}
-    while pending := pending - known - used - signals.keys():
-        name = pending.pop()
-        if name in states:
-            used.add(name)
-        elif name not in model.signals or name in touched:
+def needed_by(
+    model: Model, text: str, known: set[str]
+) -> tuple[list[str], list[str], dict[str, float]] | None:
+    """What of some known names an expression needs, and signals of the model, in their order.
+
+    With the values of fixed parameters. None where anything else enters: what is estimated, a
+    signal to which an effect adds something, a function of the user's.
+    """
+    constants = {p.name: p.value for p in model.all_parameters if p.fixed}
+    inner = {name: model.signals[name] for name in model.signals.keys() - touched(model)}
+    used, found = list[str](), set[str]()
+    called, pending = {*expressions.functions(text)}, sorted(expressions.names(text))
+    while pending:
+        name = pending.pop(0)
+        if name in known:
+            used.append(name)
+        elif name in inner and name not in found:
+            found.add(name)
+            called |= expressions.functions(inner[name])
+            pending += sorted(expressions.names(inner[name]))
+        elif name not in {*found, *constants, "t"}:
             return None
-        else:
-            signals[name] = model.signals[name]
-            pending |= expressions.names(model.signals[name])
-    called = frozenset().union(*map(expressions.functions, (text, *signals.values())))
     if called - set(expressions.FUNCTIONS):
         return None
-    return frozenset(used), [name for name in model.signals if name in signals]
+    return used, [name for name in model.signals if name in found], constants
 
 
 # Longest interval by default: over more samples a wrong model runs far from the
