@@ -40,8 +40,6 @@ from oed_sysid.text.units import shown_unit
 CORRELATION_TIMES = (1.0, 20.0)
 # Statistic below which no place is accused: what chance rarely gives of fourteen places.
 CLEAR = threshold(14, 1)
-# Candidates whose signatures are put beside the residual forces.
-N_RIVALS = 2
 
 WORDS = {
     "actuator": "between the command and the actual {signal}",
@@ -260,8 +258,8 @@ def _signatures(
 
 
 def likeliest(ranking: Ranking) -> dict[str, FilteredSolution]:
-    """Fits with each of the best candidates, for their signatures."""
-    return {refit.name: refit.fit for refit in ranking.refits[:N_RIVALS]}
+    """Fits with the best candidate and with each that is not told from it, for their signatures."""
+    return {refit.name: refit.fit for refit in ranking.group()}
 
 
 @dataclass(frozen=True, eq=False)

@@ -432,11 +432,6 @@ class Shooting(Posed):
         return self.layout.n_unknowns - tests * self.layout.n_own
 
     @property
-    def interval_counts(self) -> tuple[int, ...]:
-        """Number of intervals of each record."""
-        return tuple(len(starts) for starts in self.starts)
-
-    @property
     def interval_samples(self) -> int:
         """Longest interval, in samples."""
         pairs = zip(self.starts, self.records, strict=True)
