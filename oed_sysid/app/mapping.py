@@ -22,6 +22,7 @@ from oed_sysid.app import visit
 from oed_sysid.app.panels import download, message
 from oed_sysid.app.trust import check_uploads
 from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.data.formats import FORMATS
 from oed_sysid.data.logs import (
     Log,
     LogMapping,
@@ -42,9 +43,7 @@ from oed_sysid.text.csv_table import read_table
 from oed_sysid.text.units import shown_unit, to_si
 
 # Endings of the logs that are read.
-ENDINGS = (
-    "csv", "tsv", "txt", "ulg", "bin", "bag", "mcap", "mat", "xlsx", "parquet", "nmea",
-)  # fmt: skip
+ENDINGS = tuple(ending[1:] for form in FORMATS for ending in form.endings)
 TIME_UNITS = ("s", "ms", "min", "h")
 
 

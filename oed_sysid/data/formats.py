@@ -10,7 +10,8 @@ from __future__ import annotations
 import contextlib
 import io
 import re
-from collections.abc import Callable, Container, Iterator, Mapping
+import tomllib
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -462,19 +463,20 @@ def _simulink(content: dict[str, Any]) -> Iterator[tuple[str, np.ndarray]]:
 
 
 class Format(NamedTuple):
-    """One format: how it is called and read, how its files begin, and how their names end."""
+    """One format: a row of ``formats.toml``, where the columns are explained."""
 
     words: str
     reader: Callable[[Path], Log]
-    starts: tuple[bytes, ...]
-    endings: tuple[str, ...]
-    needs: str  # library of somebody else, which runs in a process of its own
-    advice: str  # what to do about a damaged file
-    marks: tuple[bytes, ...] = ()  # what its first bytes hold somewhere
+    endings: Sequence[str]
+    advice: str
+    starts: Sequence[str] = ()
+    marks: Sequence[str] = ()
+    needs: str = ""
 
     def begins(self, start: bytes) -> bool:
         """Whether a file that begins so is one."""
-        return start.startswith(self.starts) or any(mark in start for mark in self.marks)
+        text = start.decode("latin-1")
+        return any(map(text.startswith, self.starts)) or any(mark in text for mark in self.marks)
 
     def read(self, place: Path) -> Log:
         """Read one file, apart where the parser is somebody else's."""
@@ -485,43 +487,13 @@ class Format(NamedTuple):
         return read_apart(place, self.words, self.advice)
 
 
-_AGAIN = "Copy it again from the vehicle."
-_ROS = "If the recorder was killed, repair it with"
-FORMATS = (
-    Format(
-        *("a PX4 log (ULog)", read_ulog, (b"ULog\x01\x12\x35",), (".ulg",), "pyulog"),
-        f"{_AGAIN} If it broke off in flight, cut its last part off.",
-    ),
-    Format(
-        *("an ArduPilot log (DataFlash)", read_dataflash, (b"\xa3\x95",), (".bin",), "pymavlink"),
-        _AGAIN,
-    ),
-    Format(
-        *("a ROS bag", read_bag, (b"#ROSBAG",), (".bag",), "rosbags"),
-        f"{_ROS}  rosbag reindex  or  ros2 bag reindex.",
-    ),
-    Format(
-        *("an MCAP file", read_mcap, (b"\x89MCAP0\r\n",), (".mcap",), "mcap"),
-        f"{_ROS}  mcap recover.",
-    ),
-    Format(
-        *("NMEA 0183 sentences", read_nmea, (), (".nmea",), "pynmea2"),
-        "Log whole lines, from $ to the checksum.",
-        (b"$GP", b"$GN", b"$HE", b"$II", b"$WI", b"!AI", b"$SD"),
-    ),
-    Format(
-        *("a MATLAB file", read_matlab, (b"MATLAB ", b"\x89HDF"), (".mat",), "scipy"),
-        "Copy it again, or write it again with  save(..., '-v7').",
-    ),
-    Format(
-        *("an Excel workbook", read_excel, (b"PK\x03\x04",), (".xlsx", ".xlsm"), "openpyxl"),
-        "Save it again as .xlsx or as CSV.",
-    ),
-    Format(
-        *("a Parquet file", read_parquet, (b"PAR1",), (".parquet",), "pyarrow"), "Write it again."
-    ),
-    Format("a CSV file", read_csv_log, (), (".csv", ".tsv", ".txt", ".dat"), "", "Write it again."),
+_READERS = (
+    *(read_csv_log, read_ulog, read_dataflash, read_bag, read_mcap, read_nmea),
+    *(read_matlab, read_excel, read_parquet),
 )
+_BY_NAME = {reader.__name__: reader for reader in _READERS}
+_ROWS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))["formats"]
+FORMATS = [Format(**row | {"reader": _BY_NAME[row["reader"]]}) for row in _ROWS]
 
 
 def format_of(place: Path) -> Format:

@@ -61,6 +61,7 @@ from oed_sysid.text.units import converts, is_unit, parse_header, shown_unit, to
 
 RATES = {"psi": "r", "phi": "p", "theta": "q"}
 TIMES = {"s": 0.0, "ms": -1.0, "us": -2.0, "min": -2.0, "h": -4.0}
+_HEADS = ("field", "is", "as logged", "as read", "because", "please confirm")
 
 
 @dataclass(frozen=True)
@@ -151,28 +152,17 @@ class Recognised:
 
     def rows(self, log: Log) -> list[dict[str, str]]:
         """Each guess with its range as logged and as read, what is to be confirmed first."""
-        return [
-            {
-                "field": one.field,
-                "is": ("-" if one.sign < 0 else "") + one.name,
-                "as logged": _reach(log[one.field].values, one.unit),
-                "as read": _reach(*_read(one, log)),
-                "because": one.why,
-                "please confirm": ", ".join(one.doubts),
-            }
+        told = [
+            (one.field, "-" * (one.sign < 0) + one.name, _reach(log[one.field].values, one.unit),
+             _reach(*_read(one, log)), one.why, ", ".join(one.doubts))
             for one in sorted(self.guesses, key=lambda one: not one.doubts)
-        ] + [
-            {
-                "field": one.name,
-                "is": "",
-                "as logged": _reach(one.values, one.unit or ""),
-                "as read": "not read",
-                "because": _unread(one, log),
-                "please confirm": "",
-            }
+        ]  # fmt: skip
+        told += [
+            (one.name, "", _reach(one.values, one.unit or ""), "not read", _unread(one, log), "")
             for one in log.series
             if one.name not in {guess.field for guess in self.guesses}
         ]
+        return [dict(zip(_HEADS, row, strict=True)) for row in told]
 
     def table(self, log: Log) -> str:
         """The rows as text, before and after."""
