@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import operator
+import pickle
 import shlex
 import shutil
 import socket
@@ -51,6 +52,7 @@ from oed_sysid.cli.options import line_of
 from oed_sysid.cli.study import Study
 from oed_sysid.cli.tasks import TASKS
 from oed_sysid.cli.terminal import Shown
+from oed_sysid.runtime.journal import CellStore
 
 
 @pytest.mark.slow
@@ -526,8 +528,13 @@ def test_studies_are_kept_for_the_user_alone(tmp_path: Path) -> None:
     (tmp_path / "studies" / name).chmod(0o777)
     assert shelf.find(name) is None
     (tmp_path / "studies" / name).chmod(0o700)
-    (tmp_path / "studies" / name / "study.json").write_text("{")
-    assert shelf.find(name) is None
+    cell = CellStore(tmp_path / "studies" / name).path("study")
+    whole = cell.read_bytes()
+    for torn in (b"{", whole[:-1], whole[:32] + pickle.dumps(("study", left))):
+        cell.write_bytes(torn)
+        assert shelf.find(name) is None
+    cell.write_bytes(whole)
+    assert shelf.find(name) == left
     shelf.forget(name)
     assert shelf.recent() == {}
 

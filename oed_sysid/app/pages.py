@@ -319,7 +319,6 @@ def _range(
     more = 0.5 * (upper - lower)
     words = channel.label or channel.name
     visit.preset(key, (lower, upper))
-    st.session_state[key] = tuple(st.session_state[key])  # a list, where it was kept
     least, most = place.slider(
         f"{words} {channel.name} [{unit or '-'}]", min_value=lower - more, max_value=upper + more,
         step=float(f"{(upper - lower) / 100.0:.1g}"), format="%.4g", key=key,

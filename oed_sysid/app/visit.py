@@ -3,22 +3,19 @@
 A study is what was chosen, given and asked for. It has an id, which stands in the address of the
 page: whoever opens that address again, in the same tab or another, after a reload or after the
 program was started anew, finds the study as it was left. It is fetched at the begin of a visit and
-kept at its end. The shelf stands in the private folder of the user's cache; what others could have
-written there is not read.
+kept at its end. The shelf stands in the private folder of the user's cache, sealed as results are:
+what others could have written there is not read.
 """
 
 from __future__ import annotations
 
-import io
-import json
 import re
 import secrets
 import shutil
 import time
-import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +23,8 @@ import streamlit as st
 
 from oed_sysid.app.jobs import Desk
 from oed_sysid.errors import OedSysidError
-from oed_sysid.runtime.files import make_private, private, private_cache, write_bytes, write_text
+from oed_sysid.runtime.files import make_private, private, private_cache
+from oed_sysid.runtime.journal import CellStore
 
 _ID = re.compile(r"[0-9a-f]{16}")
 
@@ -80,18 +78,10 @@ class Left:
     asked: Mapping[str, Asked] = field(default_factory=dict)
     files: Mapping[str, Mapping[str, bytes]] = field(default_factory=dict)
 
-    def text(self) -> str:
-        """Everything but files as JSON.
-
-        Examples
-        --------
-        >>> print(Left("Ship", {"keep:source": "ship"}).text())  # doctest: +ELLIPSIS
-        {"title": "Ship", "choices": {"keep:source": "ship"}, ...}
-        """
-        plain = {key: value for key, value in self.choices.items() if _plain(value)}
-        content = asdict(replace(self, choices=plain, files={}))
-        del content["files"]
-        return json.dumps(content)
+    @property
+    def bare(self) -> Left:
+        """Everything but the files."""
+        return replace(self, files={})
 
 
 @dataclass(frozen=True)
@@ -129,76 +119,41 @@ class Shelf:
         files : bool
             Whether to write the given files as well, which seldom change.
         """
-        place = self._place(name)
-        make_private(place)
+        store = self._store(name)
+        make_private(store.folder)
         if files:
-            write_bytes(place / "files.zip", _packed(left.files))
-        write_text(place / "study.json", left.text())
+            store.write("files", left.files)
+        store.write("study", left.bare)
 
     def find(self, name: str) -> Left | None:
         """Return a study; None where there is none that can be read."""
-        if not is_id(name):
+        if not is_id(name) or not private(self.folder / name):
             return None
-        place = self._place(name)
-        if not (place / "study.json").is_file() or not private(place):
-            return None
-        try:
-            content = json.loads((place / "study.json").read_text(encoding="utf-8"))
-            asked = {key: Asked(**one) for key, one in content["asked"].items()}
-            held = place / "files.zip"
-            files = _unpacked(held.read_bytes()) if held.is_file() else {}
-            return Left(content["title"], content["choices"], content["agreed"], asked, files)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile):
-            return None
+        kept = self._store(name).find(("study", "files"))
+        with suppress(KeyError, AttributeError):  # none, or one of another version
+            return replace(kept["study"], files=kept.get("files", {}))
+        return None
 
     def recent(self, most: int = 20) -> dict[str, tuple[str, float]]:
         """Titles and times (s since 1970) of the studies that were changed last, newest first."""
-        found = {}
+        found: dict[str, float] = {}
         with suppress(OSError):
-            for file in self.folder.glob("*/study.json"):
-                if is_id(file.parent.name) and private(file.parent):
-                    found[file.parent.name] = file.stat().st_mtime
+            for name in (place.name for place in self.folder.iterdir() if is_id(place.name)):
+                if (file := self._store(name).path("study")).is_file() and private(file.parent):
+                    found[name] = file.stat().st_mtime
         newest = sorted(found, key=lambda name: -found[name])[:most]
-        titles = {}
-        for name in newest:
-            with suppress(OSError, ValueError, KeyError, TypeError):
-                file = self._place(name) / "study.json"
-                title = str(json.loads(file.read_text(encoding="utf-8"))["title"])
-                titles[name] = (title, found[name])
-        return titles
+        studies = {name: self._store(name).find(["study"]) for name in newest}
+        return {n: (kept["study"].title, found[n]) for n, kept in studies.items() if kept}
 
     def forget(self, name: str) -> None:
         """Remove a study with its files."""
         if is_id(name):
-            shutil.rmtree(self._place(name), ignore_errors=True)
+            shutil.rmtree(self.folder / name, ignore_errors=True)
 
-    def _place(self, name: str) -> Path:
+    def _store(self, name: str) -> CellStore:
         if not is_id(name):
             raise OedSysidError(f"{name!r:.40} is no study. Open the page Data and begin one.")
-        return self.folder / name
-
-
-def _packed(files: Mapping[str, Mapping[str, bytes]]) -> bytes:
-    """Given files, by source and name, as a ZIP file.
-
-    >>> _unpacked(_packed({"ship": {"../a.csv": b"t"}}))
-    {'ship': {'../a.csv': b't'}}
-    """
-    target = io.BytesIO()
-    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as packed:
-        for source, held in files.items():
-            for name, content in held.items():  # names are data: nothing is ever unpacked to disk
-                packed.writestr(json.dumps([source, name]), content)
-    return target.getvalue()
-
-
-def _unpacked(content: bytes) -> dict[str, dict[str, bytes]]:
-    found: dict[str, dict[str, bytes]] = {}
-    with zipfile.ZipFile(io.BytesIO(content)) as packed:
-        for place in packed.infolist():
-            source, name = json.loads(place.filename)
-            found.setdefault(source, {})[name] = packed.read(place)
-    return found
+        return CellStore(self.folder / name)
 
 
 def new_id() -> str:
@@ -229,13 +184,6 @@ def ago(when: float) -> str:
     if minutes < 48 * 60:
         return f"{minutes:.0f} min ago" if minutes < 60 else f"{minutes / 60:.0f} h ago"
     return f"{minutes / 1440:.0f} days ago"
-
-
-def _plain(value: Any) -> bool:
-    """Whether JSON gives a value back as it is."""
-    if isinstance(value, list | tuple):
-        return all(_plain(one) for one in value)
-    return value is None or isinstance(value, str | int | float | bool)
 
 
 # -- the visit ---------------------------------------------------------------------------
@@ -343,7 +291,7 @@ def end(title: str) -> None:
     state["title"] = title
     _hold()
     left = _left(title)
-    text = left.text()
+    text = repr(left.bare)
     new_files = state.pop("new files", False)
     known = state.setdefault("kept text", text)
     if text == known and not new_files:
@@ -373,4 +321,4 @@ def _restore(left: Left) -> None:
     state.update(left.choices)
     state.update({"agreed": dict(left.agreed), "asked": dict(left.asked)})
     state.update({FILES + source: dict(held) for source, held in left.files.items()})
-    state["kept text"] = _left(left.title).text()
+    state["kept text"] = repr(_left(left.title).bare)
