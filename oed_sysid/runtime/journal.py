@@ -25,7 +25,6 @@ import io
 import json
 import pickle
 import platform
-import re
 import secrets
 import shutil
 import signal
@@ -34,7 +33,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from datetime import timedelta
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
@@ -49,7 +48,7 @@ from oed_sysid.runtime.files import private_cache, secret_key, write_bytes, writ
 
 Result = TypeVar("Result")
 
-_SUFFIX, _STATE, _CELL = ".step", ".state", ".cell"
+_ENDINGS = ".step", ".state"  # of finished steps, and of the one in work
 
 
 class Journal:
@@ -84,12 +83,10 @@ class Journal:
         tell: Callable[[str], None] | None = None,
     ) -> None:
         self.folder = None if folder is None else Path(folder)
-        self.place: Path | None = None
         self.n_read = 0
         self._fresh, self._tell = fresh, tell
         self._count = 0
-        self._names: dict[int, str] = {}
-        self._shared: dict[str, Any] = {}
+        self._stores: tuple[CellStore, ...] = ()
         self._last, self._took = -np.inf, 0.0
 
     def open(self, content: Any, *, shared: Mapping[str, Any] | None = None) -> None:
@@ -104,14 +101,14 @@ class Journal:
             written with every step.
         """
         self._count, self.n_read = 0, 0
-        self._names, self._shared = {}, {}
-        for name, value in (shared or {}).items():
-            self._share(name, value)
         if self.folder is None:
             return
         text = json.dumps(content, sort_keys=True, default=str)
         digest = hashlib.sha256(f"{package_digest()}\n{text}".encode()).hexdigest()[:20]
-        self.place = self.folder / digest
+        store = CellStore(self.folder / digest)
+        self._stores = tuple(replace(store, ending=ending) for ending in _ENDINGS)
+        for name, value in (shared or {}).items():
+            self._share(name, value)
         if self._fresh:
             self.close()
         self._sweep()
@@ -121,11 +118,14 @@ class Journal:
             self._tell(f"Going on after {kept} {steps} of an earlier call, kept in {self.place}.")
 
     @property
+    def place(self) -> Path | None:
+        """Folder of the calculation; None where nothing is kept."""
+        return self._stores[0].folder if self._stores else None
+
+    @property
     def n_steps(self) -> int:
         """Number of steps that are kept now, an unfinished one with its state included."""
-        if self.place is None or not self.place.is_dir():
-            return 0
-        return sum(path.suffix in (_SUFFIX, _STATE) for path in self.place.iterdir())
+        return sum(len([*one.folder.glob(f"*{one.ending}")]) for one in self._stores)
 
     def once(
         self, label: str, work: Callable[[], Result], *, rng: np.random.Generator | None = None
@@ -155,9 +155,9 @@ class Journal:
                 result = work()
             with _to_the_end(at_once=False):
                 self._write(key, (result, None if rng is None else rng.bit_generator.state))
-                if state := self._file(key, part=True):
+                for unfinished in self._stores[1:]:
                     with suppress(OSError):
-                        state.unlink(missing_ok=True)
+                        unfinished.path(self._key_of_work()).unlink(missing_ok=True)
         else:
             result, state = kept
             self.n_read += 1
@@ -203,40 +203,18 @@ class Journal:
 
     # -- files ---------------------------------------------------------------------------
 
-    def _file(self, key: str, *, part: bool = False) -> Path | None:
-        if self.place is None:
-            return None
-        name = re.sub(r"[^a-z0-9]+", "-", key.lower()).strip("-")[:60]
-        return self.place / (f"{key[:3]}{_STATE}" if part else f"{name}{_SUFFIX}")
-
     def _read(self, key: str, *, part: bool = False) -> Any:
-        file = self._file(key, part=part)
-        if file is None:
-            return None
-
-        def load(body: bytes) -> Any:
-            reader = pickle.Unpickler(io.BytesIO(body))
-            reader.persistent_load = self._shared.__getitem__  # type: ignore[method-assign]
-            return reader.load()
-
-        kept = _kept(file, load)
-        return kept[1] if kept is not None and kept[0] == key else None
+        return self._stores[part].find([key]).get(key) if self._stores else None
 
     def _write(self, key: str, content: Any, *, part: bool = False) -> None:
-        file = self._file(key, part=part)
-        if file is None:
+        if self.place is None:
             return
-        body = io.BytesIO()
         try:
-            # Names in place of objects that the reader has.
-            writer = pickle.Pickler(body, protocol=pickle.HIGHEST_PROTOCOL)
-            writer.persistent_id = lambda one: self._names.get(id(one))  # type: ignore[method-assign]
-            writer.dump((key, content))
-            if not file.parent.is_dir():
-                self._begin(file.parent)
-            write_bytes(file, sealed(body.getvalue()))
+            if not self.place.is_dir():
+                self._begin(self.place)
+            self._stores[part].write(key, content)
         except (FileError, OSError, pickle.PicklingError, TypeError, AttributeError) as error:
-            self.place = None
+            self._stores = ()
             warnings.warn(
                 f"Finished steps are no longer kept, so an interruption will cost them: {error}",
                 stacklevel=3,
@@ -257,12 +235,11 @@ class Journal:
 
     def _share(self, name: str, value: Any) -> None:
         """Let later steps refer to a result and to what it is made of."""
-        if self.folder is None:
-            return
-        for path, part in _parts(name, value, depth=2):
-            # The same object under two names keeps the first; names must last as long as objects.
-            self._names.setdefault(id(part), path)
-            self._shared[path] = part
+        for store in self._stores[:1]:  # both have the same names
+            for path, part in _parts(name, value, depth=2):
+                # The same object under two names keeps the first; names last as long as objects.
+                store.names.setdefault(id(part), path)
+                store.shared[path] = part
 
 
 def opened(
@@ -383,32 +360,45 @@ class CellStore:
     ----------
     folder : Path
         Made when the first result is written.
+    ending : str
+        Of the files.
+    names, shared : dict
+        Objects that a reader has anyway: names by identity, and the objects by name, which alone
+        are written in their place.
     """
 
     folder: Path
+    ending: str = ".cell"
+    names: dict[int, str] = field(default_factory=dict, repr=False)
+    shared: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def path(self, key: str) -> Path:
         """File of one cell: names are free, file names are not."""
-        return self.folder / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}{_CELL}"
+        return self.folder / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}{self.ending}"
 
     def find(self, keys: Iterable[str]) -> dict[str, Any]:
         """Return the results that are there, of the cells that are asked for."""
-        entries = {key: _kept(self.path(key), pickle.loads) for key in keys}
+        entries = {key: self._kept(key) for key in keys}
         return {key: entry[1] for key, entry in entries.items() if entry is not None}
 
     def write(self, key: str, result: Any) -> None:
         """Keep a result."""
-        content = pickle.dumps((key, result), protocol=pickle.HIGHEST_PROTOCOL)
-        write_bytes(self.path(key), sealed(content))
+        body = io.BytesIO()
+        writer = pickle.Pickler(body, protocol=pickle.HIGHEST_PROTOCOL)
+        if self.names:
+            writer.persistent_id = lambda one: self.names.get(id(one))  # type: ignore[method-assign]
+        writer.dump((key, result))
+        write_bytes(self.path(key), sealed(body.getvalue()))
 
-
-def _kept(path: Path, load: Callable[[bytes], Any]) -> tuple[str, Any] | None:
-    """Name and content in a file; None where it is missing, torn or not from this user."""
-    try:
-        body = unsealed(path.read_bytes())
-        return None if body is None else load(body)
-    except Exception:  # no file, a class that has since been changed, a part that has gone
-        return None
+    def _kept(self, key: str) -> tuple[str, Any] | None:
+        """Name and content of a cell; None where it is missing, torn or not from this user."""
+        try:
+            body = unsealed(self.path(key).read_bytes())
+            reader = pickle.Unpickler(io.BytesIO(body or b""))
+            reader.persistent_load = self.shared.__getitem__  # type: ignore[method-assign]
+            return reader.load()
+        except Exception:  # no file, a class that has since been changed, a part that has gone
+            return None
 
 
 def sealed(body: bytes) -> bytes:
