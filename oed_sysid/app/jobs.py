@@ -251,16 +251,9 @@ class Desk:
 
     def _read(self, key: str) -> Any:
         """The kept result; None where there is none, or what it is made of has changed since."""
-        place = self._store.path(_name(key))
-        if not place.is_file():
-            return None
         with suppress(OSError):
-            os.utime(place)
-        packed = self._store.find([_name(key)]).get(_name(key))
-        try:
-            return None if packed is None else pickle.loads(packed)
-        except Exception:  # a class that was renamed, a problem that is not loaded
-            return None
+            os.utime(self._store.path(_name(key)))
+        return self._store.find([_name(key)]).get(_name(key))
 
     def _hold(self, owner: str, key: str, job: Job) -> Job:
         self._jobs[owner, key] = job
@@ -339,7 +332,7 @@ def main() -> None:
         shown = Shown(told=lambda words, left: say((words, left)))
         outcome = request.task(request.study(), shown, request.options)
         say(("drawing", None))
-        CellStore(Path(folder)).write(name, cloudpickle.dumps(outcome.drawn()))
+        CellStore(Path(folder), pickler=cloudpickle.Pickler).write(name, outcome.drawn())
         say("")
     except Exception as error:
         if not isinstance(error, OedSysidError):

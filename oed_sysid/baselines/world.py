@@ -17,8 +17,10 @@ Commands are those of the undisturbed run, and white noise is drawn alike in all
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.signal import lfilter
@@ -271,31 +273,8 @@ def _narrow_band(
 
 
 IDEAL = "ideal"
-WORLDS: Mapping[str, World] = {
-    IDEAL: World("as simulated: white noise, as declared"),
-    "forces_2": World("disturbance forces of 2 %", forces=0.02),
-    "forces_5": World("disturbance forces of 5 %", forces=0.05),
-    "forces_10": World("disturbance forces of 10 %", forces=0.10),
-    "swell": World(
-        "swell of 5 %, 8 s (shorter where a run holds fewer than ten waves)", swell=0.05
-    ),
-    "hidden": World("quadratic damping of 10 % that the model does not have", hidden=0.1),
-    "coloured": World("sensor noise all autocorrelated", colour=1.0),
-    "declared_half": World("noise declared half its size", declared=0.5),
-    "declared_twice": World("noise declared twice its size", declared=2.0),
-    "wrong_model": World("known numbers off by up to 5 %", wrong=0.05),
-    "spikes": World("1 % of samples are spikes", spikes=0.01),
-    "offset": World("every sensor off by twice its noise", offset=2.0),
-    "sparse": World("every fourth sample only", sparse=4),
-    "far_start": World("start values off by up to a factor of 3", start=3.0),
-    "all": World(
-        "forces of 5 %, half the noise autocorrelated, 1 % spikes, known numbers off by 5 %",
-        forces=0.05,
-        colour=0.5,
-        spikes=0.01,
-        wrong=0.05,
-    ),
-}
+_TABLE = tomllib.loads(Path(__file__).with_name("worlds.toml").read_text(encoding="utf-8"))
+WORLDS: Mapping[str, World] = {name: World(**row) for name, row in _TABLE.items()}
 
 
 def world_by_name(name: str) -> World:

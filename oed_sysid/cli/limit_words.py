@@ -6,10 +6,12 @@ Words that people use stand for the model's channels; angles are in degrees.
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from math import degrees, inf, isfinite, radians
+from pathlib import Path
 from typing import Any
 
 from oed_sysid.errors import DesignError
@@ -17,20 +19,8 @@ from oed_sysid.experiments.experiment import Limits
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
 
-# Words for one channel each, whatever its name in the model.
-SIGNALS = {
-    "pitch": "theta", "heel": "phi", "roll": "phi", "heading": "psi", "yaw": "psi",
-    "depth": "z", "speed": "u", "surge": "u", "sway": "v", "heave": "w",
-    "distance": "x", "advance": "x", "transfer": "y",
-    "pitch-rate": "q", "roll-rate": "p", "yaw-rate": "r",
-}  # fmt: skip
-# A control surface answers to these words if its name or description holds one of its group; the
-# word that is shown stands first.
-SURFACES = {
-    "fin": ("fin", "fins", "plane", "planes", "sternplane", "elevator", "hydroplane"),
-    "rudder": ("rudder", "helm"),
-    "thrust": ("thrust", "propeller", "revolutions"),
-}
+_TABLE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+SIGNALS, SURFACES = _TABLE["signals"], _TABLE["surfaces"]
 Channel = Input | Output | State
 # Which group of limits is of a channel that is an input or none, and what it is called.
 _GROUPS = {True: ("inputs", "input"), False: ("signals", "signal")}

@@ -365,12 +365,15 @@ class CellStore:
     names, shared : dict
         Objects that a reader has anyway: names by identity, and the objects by name, which alone
         are written in their place.
+    pickler : class
+        Writes results; that of cloudpickle takes functions of a problem's own file, too.
     """
 
     folder: Path
     ending: str = ".cell"
     names: dict[int, str] = field(default_factory=dict, repr=False)
     shared: dict[str, Any] = field(default_factory=dict, repr=False)
+    pickler: Any = pickle.Pickler
 
     def path(self, key: str) -> Path:
         """File of one cell: names are free, file names are not."""
@@ -384,9 +387,9 @@ class CellStore:
     def write(self, key: str, result: Any) -> None:
         """Keep a result."""
         body = io.BytesIO()
-        writer = pickle.Pickler(body, protocol=pickle.HIGHEST_PROTOCOL)
+        writer = self.pickler(body, protocol=pickle.HIGHEST_PROTOCOL)
         if self.names:
-            writer.persistent_id = lambda one: self.names.get(id(one))  # type: ignore[method-assign]
+            writer.persistent_id = lambda one: self.names.get(id(one))
         writer.dump((key, result))
         write_bytes(self.path(key), sealed(body.getvalue()))
 
