@@ -181,7 +181,7 @@ class Desk:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._store = CellStore(folder)
+        self._store = CellStore(folder, pickler=cloudpickle.Pickler)
         self._jobs: dict[tuple[str, str], Job] = {}
         self._lock = threading.Lock()
         # Work that nobody can look at any more ends with the program.

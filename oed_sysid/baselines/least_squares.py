@@ -160,8 +160,11 @@ class TotalLeastSquares(RegressionEstimator):
                     f"for {len(names)} parameters. Give a longer record."
                 )
             values, ratio = generalised_tls(regressors, target, column_errors[index])
-            errors = ratio * column_errors[index]
-            covariance, coloured = _covariance(regressors, target, values, errors)
+            # Noise in the regressors adds n W to X'X, which says nothing of the parameters.
+            noise = len(target) * ratio * column_errors[index][:-1, :-1]
+            covariance, coloured = residual_covariance(
+                regressors, target - regressors @ values, len(target) - len(names), -noise
+            )
             facts = {"noise_ratio": float(np.sqrt(ratio))}
             return names, Regression(values, covariance, coloured=coloured, facts=facts)
 
@@ -239,21 +242,6 @@ def generalised_tls(
         )
     ratio = 1.0 / (found[-1] * len(target)) if found[-1] > 0 else 0.0
     return -direction[:-1] / direction[-1], float(ratio)
-
-
-def _covariance(
-    regressors: np.ndarray, target: np.ndarray, values: np.ndarray, errors: np.ndarray
-) -> tuple[np.ndarray, bool]:
-    """First-order covariance of the estimates, and whether errors are coloured."""
-    n, n_parameters = regressors.shape
-    residual = target - regressors @ values
-    variance = float(residual @ residual) / max(n - n_parameters, 1)
-    norms = column_norms(regressors)
-    # Noise in the regressors adds n W to X'X, which says nothing of the parameters.
-    curvature = regressors.T @ regressors - n * errors[:-1, :-1]
-    bread = np.linalg.pinv(curvature / norms[:, None] / norms, hermitian=True)
-    bread = bread / norms[:, None] / norms
-    return residual_covariance(bread, regressors, residual, variance)
 
 
 SCHEMES = ("forward", "central")

@@ -294,28 +294,32 @@ def bounded_least_squares(matrix: np.ndarray, right: np.ndarray, model: Model) -
 
 
 def residual_covariance(
-    bread: np.ndarray, rows: np.ndarray, errors: np.ndarray, variance: float
+    matrix: np.ndarray, errors: np.ndarray, freedom: int, penalty: np.ndarray
 ) -> tuple[np.ndarray, bool]:
     """Covariance of least squares from its residuals, and whether these are correlated in time.
 
     Parameters
     ----------
-    bread : ndarray (n, n)
-        Inverse curvature.
-    rows : ndarray (n_rows, n)
-        Weighted regressors.
+    matrix : ndarray (n_rows, n)
+        Regressors.
     errors : ndarray (n_rows,)
-    variance : float
-        Of the errors.
+    freedom : int
+        Rows beyond the parameters that were estimated.
+    penalty : ndarray (n, n)
+        What the curvature has beside that of the regressors.
     """
+    variance = float(errors @ errors) / max(freedom, 1)
     if variance <= 0:
-        return np.zeros_like(bread), False
+        return np.zeros_like(penalty), False
+    scale = 1.0 / column_norms(matrix)
+    rows, units = matrix * scale, np.outer(scale, scale)
+    bread = np.linalg.pinv(rows.T @ rows + penalty * units, hermitian=True, rcond=1e-15)
     scaled = (errors / np.sqrt(variance))[:, None]
     coloured = is_coloured([scaled])
     middle = rows.T @ rows
     if coloured:
         middle = coloured_score_covariance([rows[:, None, :]], [scaled])
-    return variance * sandwich(bread, middle), coloured
+    return variance * sandwich(bread, middle) * units, coloured
 
 
 def prior_rows(model: Model) -> tuple[np.ndarray, np.ndarray]:
@@ -463,11 +467,6 @@ def solution_covariance(
     n, n_features = features.shape
     matrix = np.hstack([features, np.full((n, 1), float(with_bias))])
     errors = targets - features @ solution.coefficients - solution.bias
-    variance = float(errors @ errors) / max(n - n_features - with_bias, 1)
-    scale = 1.0 / column_norms(matrix)
-    matrix = matrix * scale
     # The ridge pulls the coefficients, not the bias.
-    penalty = np.diag([*np.full(n_features, solution.ridge), 0.0]) * scale**2
-    bread = np.linalg.pinv(matrix.T @ matrix + penalty, hermitian=True, rcond=1e-15)
-    covariance, coloured = residual_covariance(bread, matrix, errors, variance)
-    return covariance * scale[:, None] * scale, coloured
+    penalty = np.diag([*np.full(n_features, solution.ridge), 0.0])
+    return residual_covariance(matrix, errors, n - n_features - with_bias, penalty)
