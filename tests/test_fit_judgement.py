@@ -595,7 +595,7 @@ def test_every_kind_of_concern_is_a_row_and_is_documented() -> None:
     for kind in kinds:
         assert f"``{kind}``" in Concern.__doc__
         assert SAYS[kind]
-    assert set(SAYS) - set(kinds) == {"excluded", "unexplained"}
+    assert set(SAYS) - set(kinds) == {"excluded", "unexplained", "zero"}
     assert kinds[: len(FATAL)] == list(FATAL)
 
 
