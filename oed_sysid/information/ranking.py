@@ -232,14 +232,26 @@ def rank_parameters(
     factors = [expected.factor(given) for given in histories]
     information = expected.joint(factors, priors)
     wanted = tuple(signals) if signals is not None else model.output_names
-    rows = _sensitivities(model, information, histories, wanted, change)
-    # States and inputs in all runs, one behind the other.
-    moved = np.vstack(
-        [
-            np.hstack([_signals(model, given, model.state_names), given.inputs])
-            for given in histories
-        ]
+    base = _signals(model, histories, wanted)
+    with np.errstate(divide="ignore"):
+        # The norm of a column of R is the root of the information on that parameter alone.
+        alone = 1.0 / np.linalg.norm(information.factor / information.scales, axis=0)
+
+    def seen(name: str, *errors: float) -> Sensitivity:
+        """One parameter in both views."""
+        parameter = model.parameter(name)
+        value, size = parameter.value, parameter.reference
+        changed = model.with_values({name: value + change * (value or size)})
+        total, peaks = _indices(base, _signals(changed, histories, wanted))
+        one, together = (float(error / size) for error in errors)
+        return Sensitivity(name, parameter.unit, value, total, peaks / abs(change), one, together)
+
+    rows = sorted(
+        map(seen, information.names, alone, information.std_errors), key=lambda row: row.error
     )
+    # States and inputs in all runs, one behind the other.
+    states = np.vstack(_signals(model, histories, model.state_names))
+    moved = np.hstack([states, np.vstack([given.inputs for given in histories])])
     subset = identifiable_subset(
         expected.joint(factors, None),
         model.values,
@@ -251,39 +263,20 @@ def rank_parameters(
     )
 
 
-def _sensitivities(
-    model: Model,
-    information: Information,
-    histories: Sequence[CommandedRun],
-    wanted: Sequence[str],
-    change: float,
-) -> list[Sensitivity]:
-    """Each parameter in both views, best determined first."""
-    base = [_signals(model, given, wanted) for given in histories]
-    with np.errstate(divide="ignore"):
-        # The norm of a column of R is the root of the information on that parameter alone.
-        alone = 1.0 / np.linalg.norm(information.factor / information.scales, axis=0)
-    rows = []
-    for name, *errors in zip(information.names, alone, information.std_errors, strict=True):
-        parameter = model.parameter(name)
-        value, size = parameter.value, parameter.reference
-        changed = model.with_values({name: value + change * (value or size)})
-        total, peaks = _indices(base, [_signals(changed, given, wanted) for given in histories])
-        one, together = (float(error / size) for error in errors)
-        peaks /= abs(change)
-        rows.append(Sensitivity(name, parameter.unit, value, total, peaks, one, together))
-    return sorted(rows, key=lambda row: row.error)
-
-
-def _signals(model: Model, given: CommandedRun, names: Sequence[str]) -> np.ndarray:
-    """Chosen outputs or states of one run, shape ``(n_times, n_names)``."""
-    run = simulate_inputs(
-        model, given.times, inputs=given.inputs, initial=given.initial, throw=False
-    )
-    columns = (*run.states.T, *run.outputs.T)
-    known = dict(zip((*run.state_names, *run.output_names), columns, strict=True))
-    located(DesignError, f"Model {model.name!r} has no output or state", names, known)
-    return np.column_stack([known[name] for name in names])
+def _signals(
+    model: Model, histories: Sequence[CommandedRun], names: Sequence[str]
+) -> list[np.ndarray]:
+    """Chosen outputs or states of each run, shape ``(n_times, n_names)``."""
+    found = []
+    for given in histories:
+        run = simulate_inputs(
+            model, given.times, inputs=given.inputs, initial=given.initial, throw=False
+        )
+        columns = (*run.states.T, *run.outputs.T)
+        known = dict(zip((*run.state_names, *run.output_names), columns, strict=True))
+        located(DesignError, f"Model {model.name!r} has no output or state", names, known)
+        found.append(np.column_stack([known[name] for name in names]))
+    return found
 
 
 def _indices(base: list[np.ndarray], new: list[np.ndarray]) -> tuple[float, float]:
