@@ -37,11 +37,12 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate_inputs, trajectory_of
+from oed_sysid.experiments.trajectory import start_array
 from oed_sysid.likelihood.disturbances import chosen_places
 from oed_sysid.likelihood.filtered import disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.start_guess import first_state
+from oed_sysid.likelihood.start_guess import check_channels, first_state
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.constants import THREE_DIGITS
 
@@ -152,7 +153,10 @@ def commanded_runs(
     for index, run in enumerate(listed):
         given = _of_experiment(model, run) if isinstance(run, Experiment) else _recorded(model, run)
         if initial_states is not None:
-            given = replace(given, initial=_own(model, initial_states[index], given.initial))
+            start = initial_states[index]
+            if isinstance(start, Mapping):
+                start = {**dict(zip(model.state_names, given.initial, strict=True)), **start}
+            given = replace(given, initial=start_array(model, start))
         found.append(given)
     return tuple(found)
 
@@ -192,7 +196,7 @@ def respond(model: Model, given: CommandedRun) -> Response:
 def _of_experiment(model: Model, experiment: Experiment) -> CommandedRun:
     # Resolved once: for whoever gets the log, commands are given numbers.
     run = trajectory_of(model, experiment)
-    own = _own(model, experiment.initial, np.zeros(len(model.states)))
+    own = start_array(model, experiment.initial)
     present = np.ones(run.outputs.shape, dtype=bool)
     return CommandedRun(
         experiment.name, run.times, run.inputs, own, present, dict(experiment.noise)
@@ -200,22 +204,9 @@ def _of_experiment(model: Model, experiment: Experiment) -> CommandedRun:
 
 
 def _recorded(model: Model, record: Record) -> CommandedRun:
-    if record.channels.input_names != model.input_names or (
-        record.channels.output_names != model.output_names
-    ):
-        raise DesignError(
-            f"Record {record.name!r} holds other signals than model {model.name!r} has. Read it "
-            "with the model's channels."
-        )
+    check_channels(model, Dataset((record,)))
     own = first_state(model, record)
     return CommandedRun(record.name, record.times, record.inputs, own, np.isfinite(record.outputs))
-
-
-def _own(model: Model, given: Mapping[str, float] | np.ndarray, base: np.ndarray) -> np.ndarray:
-    if not isinstance(given, Mapping):
-        return np.asarray(given, dtype=float)
-    known = dict(zip(model.state_names, base.tolist(), strict=True)) | dict(given)
-    return np.array([known[name] for name in model.state_names], dtype=float)
 
 
 # A change of this share of what counts stands for a derivative: of the noise where it is put
