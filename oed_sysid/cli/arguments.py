@@ -2,8 +2,8 @@
 
 Files stand after the problem, records to judge with after ``--validate``, and an option
 that takes several values takes all that follow it (``--validate a.csv b.csv``). A
-:class:`Command` reads its own line in this way, adds the options that every command has
-and, where a trial is planned, the limits of the problem that is named: ``--max-fin 10``.
+:class:`Command` reads its own line in this way and adds, where a trial is planned, the limits of
+the problem that is named: ``--max-fin 10``.
 """
 
 from __future__ import annotations
@@ -18,16 +18,13 @@ import typer.main
 from typer.core import TyperCommand
 
 import oed_sysid
-from oed_sysid.cli.options import declared, row_of, signed
-from oed_sysid.cli.study import Option
+from oed_sysid.cli.options import signed
 
 if TYPE_CHECKING:
     from oed_sysid.experiments.problem import Problem
 
 # Older words that are still understood: for an option, or for the files after the problem.
 OLDER = {"--test": "--validate", "--train": "", "--records": "", "--reveal": "--detect"}
-# Keys under which a call keeps what the shared options say.
-QUIET, TIME_UNIT, FORM = (f"oed_sysid.{name}" for name in ("quiet", "time_unit", "form"))
 _LIMITS = "oed_sysid.limits"
 
 
@@ -87,13 +84,6 @@ def spread(
 class Command(TyperCommand):
     """A command with the grammar of this module."""
 
-    def __init__(self, *arguments: Any, **settings: Any) -> None:
-        super().__init__(*arguments, **settings)
-        reads = any(param.name in ("files", "validate") for param in self.params)
-        told = any(param.name == "html_file" for param in self.params)
-        self._shared = (*(_OF_RECORDS if reads else ()), *(_OF_TABLES if told else ()), *_EVERY)
-        self.params = [*self.params, *_parameters(declared(lambda **_: None, "", self._shared))]
-
     def get_params(self, ctx: Any) -> list[Any]:
         """Options of the command, and limits of the problem that its line names."""
         *own, last = super().get_params(ctx)
@@ -115,28 +105,11 @@ class Command(TyperCommand):
         if "limit" in names and not ctx.resilient_parsing:
             ctx.meta[_LIMITS], meant = _limits(args, self.params)
         rest = super().parse_args(ctx, args)
-        _keep(ctx, self._shared)
         given = {name: ctx.params.pop(name, None) for name in meant}
         said = [f"{meant[name]}={value}" for name, value in given.items() if value is not None]
         if said:
             ctx.params["limit"] = [*(ctx.params.get("limit") or ()), *said]
         return rest
-
-
-# What the line of every command, of those that read records and of those that print tables may
-# say besides; it is kept with the call, no parameter of the command.
-_EVERY = (Option("quiet", bool, False), Option("debug", bool, False))
-_OF_RECORDS = (Option("time_unit", str | None, None),)
-_OF_TABLES = (Option("form", str, "text"),)
-
-
-def _keep(ctx: Any, shared: Sequence[Option]) -> None:
-    """Keep what the shared options say with the call."""
-    for one in shared:
-        value, choices = ctx.params.pop(one.name, one.default), row_of("", one.name).choices
-        if choices and value is not None and value not in choices:
-            raise typer.BadParameter(f"{value!r} is none of {', '.join(choices)}.")
-        ctx.meta[f"oed_sysid.{one.name}"] = value
 
 
 # -- limits of a problem as options ------------------------------------------------------

@@ -12,7 +12,7 @@ from __future__ import annotations
 import inspect
 import shlex
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
@@ -68,7 +68,7 @@ class Row:
     flag : str or None
         How an option is written, by default as the parameter is called; empty for an argument.
     place : str
-        What is written there; see :func:`checked`.
+        What is written there, see :func:`checked`; or ``"choice"``, of which there is no other.
     shown : bool or str
         What is said of the default.
     least : int, optional
@@ -103,8 +103,7 @@ class Row:
         settings: dict[str, Any] = {
             "help": self.help,
             "metavar": self.metavar or None,
-            # One parameter that typer takes for the value; it looks at the names of others.
-            "callback": (lambda value: checked(self.place, value)) if self.place else None,
+            "callback": self.checked if self.place else None,
             "show_default": False if required or (default is None and self.shown is True)
             else self.shown,
             "min": self.least,
@@ -118,6 +117,14 @@ class Row:
 
         known = complete if default in self.choices else None
         return typer.Option(*self.written(name).split(), **settings, autocompletion=known)
+
+    def checked(self, value: Any) -> Any:
+        """Refuse what is none of the choices, or a place that cannot be written to."""
+        if self.place != "choice":
+            return checked(self.place, value)
+        if value is not None and value not in self.choices:
+            raise typer.BadParameter(f"{value!r} is none of {', '.join(self.choices)}.")
+        return value
 
     def written(self, name: str) -> str:
         """How the option of a parameter is written."""
@@ -150,8 +157,8 @@ def declared(
     command: Callable[..., None], name: str, options: Iterable[Option]
 ) -> Callable[..., None]:
     """Give a function of keyword arguments the signature that typer reads."""
-    listed = []
-    for one in options:
+    own, listed = list(options), []
+    for one in [*own, *_shared({one.name for one in own})]:
         several = str(one.kind).startswith("tuple")
         kind = list[str] | None if several else one.kind
         default = None if several and one.default == () else one.default
@@ -159,6 +166,19 @@ def declared(
         form = inspect.Parameter.KEYWORD_ONLY
         listed.append(inspect.Parameter(one.name, form, default=default, annotation=kind))
     return signed(command, listed)
+
+
+# What lines may say besides; no result is another by it.
+SHARED = ("quiet", "debug", "time_unit", "form")
+
+
+def _shared(names: Container[str]) -> Iterator[Option]:
+    """Options of every command, of those that read records, and of those that print tables."""
+    if "files" in names or "validate" in names:
+        yield Option("time_unit", str | None, None)
+    if "html_file" in names:
+        yield Option("form", str, "text")
+    yield from (Option("quiet", bool, False), Option("debug", bool, False))
 
 
 def signed(command: Callable[..., None], listed: list[inspect.Parameter]) -> Callable[..., None]:

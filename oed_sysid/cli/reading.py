@@ -6,9 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from oed_sysid.cli.arguments import TIME_UNIT
 from oed_sysid.cli.study import Study
-from oed_sysid.cli.terminal import kept, note
+from oed_sysid.cli.terminal import asked, note
 from oed_sysid.errors import DataError
 
 if TYPE_CHECKING:
@@ -55,7 +54,7 @@ def read_records_of(files: Sequence[str], fit: Fit) -> Dataset:
 def _read(files: Sequence[str], model: Model, intervals: Iterable[float]) -> Dataset:
     from oed_sysid.data.dataset import read_csv
 
-    unit = kept(TIME_UNIT)
+    unit = asked("time_unit")
     dataset = read_csv(files, model.channels, units={"time": unit} if unit else None)
     _say_unmeasured(dataset)
     usual = max([model.step, *intervals])

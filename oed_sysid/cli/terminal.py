@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from oed_sysid.cli import INTERRUPTED
-from oed_sysid.cli.arguments import FORM, QUIET
+from oed_sysid.cli.options import SHARED
 from oed_sysid.runtime.constants import IMMATERIAL
 from oed_sysid.runtime.display import plain
 from oed_sysid.runtime.files import write_text
@@ -97,7 +97,7 @@ def deliver(outcome: Outcome, records: Iterable[Dataset | None] = (), *, text: s
     """
     if outcome.above:
         say(f"{outcome.above}\n")
-    if kept(FORM) == "latex":
+    if asked("form") == "latex":
         out(outcome.said.latex())
     else:
         answer(outcome.said.answer, text or outcome.said.text())
@@ -129,12 +129,7 @@ def note(text: str) -> None:
 
 def quiet() -> bool:
     """Whether the command that is being worked on was asked for its answer alone."""
-    return bool(kept(QUIET))
-
-
-def kept(key: str) -> str | None:
-    """What the command that is being worked on was told by a shared option; None if nothing."""
-    return getattr(_context(), "meta", {}).get(key)
+    return bool(asked("quiet"))
 
 
 class Shown:
@@ -402,7 +397,8 @@ def invocation() -> tuple[str, dict[str, Any]]:
     context = _context()
     if context is None:
         return "", {}
-    settings = {name: plain(value) for name, value in context.params.items()}
+    own = (one for one in context.params.items() if one[0] not in SHARED)
+    settings = {name: plain(value) for name, value in own}
     given = context.find_root().obj or ()
     return shlex.join(["oed-sysid", *given]), settings
 

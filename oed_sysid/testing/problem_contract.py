@@ -239,10 +239,8 @@ class _Probe:
                 changed = model.with_values(dict(zip(names[n_own:], moved[n_own:], strict=True)))
                 sides.append(self.outputs(changed, moved[:n_own], commands))
             difference = (sides[0] - sides[1]) / (2 * DIFFERENCE_STEP * size)
-            noise = 1e-14 * np.abs(sides[0]).max() / DIFFERENCE_STEP
-            broken += _compare(
-                exact[:, :, column] * size, difference * size, name, DIFFERENCE_STEP, noise
-            )
+            pair = exact[:, :, column] * size, difference * size
+            broken += _compare(*pair, sides[0], name, DIFFERENCE_STEP)
         return broken
 
     def slope_at_zero(self, rng: np.random.Generator) -> list[str]:
@@ -257,9 +255,8 @@ class _Probe:
             size = model.parameter(name).magnitude
             grown = self.outputs(model.with_values({name: DIFFERENCE_STEP * size}), own, commands)
             difference = (grown - base) / DIFFERENCE_STEP
-            noise = 1e-14 * np.abs(base).max() / DIFFERENCE_STEP
-            label = f"{name} at zero"
-            broken += _compare(exact[:, :, column] * size, difference, label, 2e-3, noise)
+            pair = exact[:, :, column] * size, difference
+            broken += _compare(*pair, base, f"{name} at zero", 2e-3)
         return broken
 
     def mirrored(
@@ -281,11 +278,11 @@ class _Probe:
 
 
 def _compare(
-    exact: np.ndarray, difference: np.ndarray, name: str, tolerance: float, noise: float
+    exact: np.ndarray, difference: np.ndarray, outputs: np.ndarray, name: str, tolerance: float
 ) -> list[str]:
     """Compare, per typical size, up to a relative tolerance and the rounding of outputs."""
-    gap = np.abs(exact - difference).max()
-    if gap <= tolerance * np.abs(difference).max() + noise:
+    gap, rounding = np.abs(exact - difference).max(), 1e-14 * np.abs(outputs).max()
+    if gap <= tolerance * np.abs(difference).max() + rounding / DIFFERENCE_STEP:
         return []
     return [
         f"sensitivity to {name} is {np.abs(exact).max():.3g} at most, finite differences give "
