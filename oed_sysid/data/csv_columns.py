@@ -6,9 +6,8 @@ Words for a column of times that cannot be used: which row, what is wrong, what 
 from __future__ import annotations
 
 import difflib
-import itertools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
@@ -275,7 +274,8 @@ class Columns:
         # "psi_deg [deg]" says its unit twice.
         twice = [parse_header(name)[0] if unit else "" for name, unit in self.parsed]
         ways = (self.table.headers, wanted), (names, wanted), (names, bare), (twice, wanted)
-        matches = next(filter(None, itertools.starmap(_places, ways)), [])
+        found = ([i for i, one in enumerate(texts) if one == text] for texts, text in ways)
+        matches = next(filter(None, found), [])
         if len(matches) > 1:
             headers = " and ".join(repr(self.table.headers[i]) for i in matches)
             raise DataError(
@@ -429,10 +429,6 @@ def _check_unit(where: str, channel: Input | Output, name: str, unit: str) -> No
             f"unit that converts to it. {mend} '{name} [{channel.unit}]', or choose another column "
             "with column=..."
         )
-
-
-def _places(texts: Sequence[str], text: str) -> list[int]:
-    return [index for index, one in enumerate(texts) if one == text]
 
 
 def unit_of_counts(counts: np.ndarray) -> str | None:

@@ -24,34 +24,23 @@ from oed_sysid.runtime.files import write_text
 
 __all__ = ["KINDS", "Program", "export", "program_of"]
 
-Text = Callable[[Program, Path], str]
-# Texts of a kind by the ends of their files' names; of C they need one another's names.
-TEXTS: dict[str, dict[str, Text]] = {
-    "c": {".h": header, ".c": source, "_test.c": example_test},
-    "python": {".py": scripts.python_text},
-    "matlab": {".m": scripts.matlab_text},
-    "control": {"_linear.py": scripts.control_text},
-    "sympy": {"_sympy.py": scripts.module_text, ".tex": scripts.latex_text},
-    "latex": {".tex": scripts.latex_text},
-}
-# Kinds that are more than texts.
-WRITERS: dict[str, Callable[[Program, Path], tuple[Path, ...]]] = {
-    "casadi": scripts.write_casadi,
-    "fmu": write_fmu,
-    "fmu3": partial(write_fmu, version="3.0"),
+Text = Callable[..., str]  # of a program and the file that it is for
+Writer = Callable[[Program, Path], tuple[Path, ...]]
+# Kinds in words, and their texts by the ends of their files' names (of C they need one another's
+# names) or, where a kind is more than texts, what writes it.
+_KINDS: dict[str, tuple[str, dict[str, Text] | Writer]] = {
+    "fmu3": ("FMU (FMI 3.0)", partial(write_fmu, version="3.0")),
+    "fmu": ("FMU (FMI 2.0)", write_fmu),
+    "c": ("C (C99, no dependency)", {".h": header, ".c": source, "_test.c": example_test}),
+    "python": ("Python (NumPy only)", {".py": scripts.python_text}),
+    "casadi": ("CasADi functions", scripts.write_casadi),
+    "matlab": ("MATLAB / Octave", {".m": scripts.matlab_text}),
+    "control": ("linear, python-control", {"_linear.py": scripts.control_text}),
+    "sympy": ("SymPy and LaTeX", {"_sympy.py": scripts.module_text, ".tex": scripts.latex_text}),
+    "latex": ("LaTeX", {".tex": scripts.latex_text}),
 }
 #: Kinds of export, in words.
-KINDS = {
-    "fmu3": "FMU (FMI 3.0)",
-    "fmu": "FMU (FMI 2.0)",
-    "c": "C (C99, no dependency)",
-    "python": "Python (NumPy only)",
-    "casadi": "CasADi functions",
-    "matlab": "MATLAB / Octave",
-    "control": "linear, python-control",
-    "sympy": "SymPy and LaTeX",
-    "latex": "LaTeX",
-}
+KINDS = {kind: words for kind, (words, _) in _KINDS.items()}
 
 
 def export(
@@ -101,12 +90,12 @@ def export(
     program, place = program_of(_for_runs(source)), Path(path).expanduser()
     if trim and kind != "control":
         raise ModelError(f"A trim is for kind 'control'; {kind!r} is the whole model.")
-    if kind in WRITERS:
-        return WRITERS[kind](program, place)
-    texts = TEXTS[kind]
-    if kind == "control":
-        texts = {"_linear.py": partial(scripts.control_text, trim=trim)}
-    written = {file: texts[tail](program, file) for tail, file in _files(program, kind, place)}
+    made = _KINDS[kind][1]
+    if callable(made):
+        return made(program, place)
+    given = {"trim": trim} if kind == "control" else {}
+    files = _files(program, [*made], place, alone=kind != "c")
+    written = {file: made[tail](program, file, **given) for tail, file in files}
     if not program.is_plain:  # what people called things, where code cannot carry it
         names = next(iter(written)).with_suffix(".json")
         written[names] = json.dumps(program.describe(), indent=2) + "\n"
@@ -128,12 +117,14 @@ def _for_runs(source: Fit | Model) -> Fit | Model:
     return runs
 
 
-def _files(program: Program, kind: str, place: Path) -> Iterator[tuple[str, Path]]:
-    """Files by the ends of their names: in a folder, or as a user names the first of them."""
-    first = next(iter(TEXTS[kind]))
-    for tail in TEXTS[kind]:
+def _files(
+    program: Program, tails: list[str], place: Path, *, alone: bool
+) -> Iterator[tuple[str, Path]]:
+    """Files by the ends of their names: in a folder or, of some, as a user names the first."""
+    first = tails[0]
+    for tail in tails:
         ending = tail[tail.index(".") :]
-        if kind != "c" and place.suffix == first[first.index(".") :]:
+        if alone and place.suffix == first[first.index(".") :]:
             file = place.with_suffix(ending)
         else:
             file = place / f"{program.identifier}{tail}"
