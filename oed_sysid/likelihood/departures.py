@@ -212,13 +212,13 @@ def off_origin(
     kind : str
         Of :data:`LEVERS`.
     values : ndarray (n_parameters,)
-    states : ndarray (n_times, n_own)
-        Of the vehicle.
+    states : ndarray (n_times, n_states)
+        Of the vehicle, perhaps with those that effects add behind them.
     times : ndarray (n_times,)
     """
     graph, names = build(model), model.state_names
     own = np.zeros((graph.n_states, len(times)))
-    own[: len(names)] = states.T
+    own[: len(names)] = states[:, : len(names)].T
     faster = own.copy()
     faster[names.index(model.axes[LEVERS[kind]])] += 1.0
     before, after = (np.array(graph.rates(x, 0.0, values, times[None])) for x in (own, faster))
@@ -255,10 +255,10 @@ def _slowness(fit: Estimate) -> dict[str, float]:
 def _departed(fit: Estimate, index: int, run: Run, _: np.ndarray) -> np.ndarray:
     """Derivatives of a record's outputs by every departure that is asked."""
     record, shift, model = fit.dataset[index], fit.dataset[index].sample_time, fit.model
-    states, values = run.states[:, : len(model.states)], values_of(fit, index)
+    values = values_of(fit, index)
     shapes = {kind: shape(run.outputs, record.times) for kind, shape in SHAPES.items()}
     for kind in levers_of(model):
-        shapes[kind] = off_origin(model, kind, values, states, record.times)
+        shapes[kind] = off_origin(model, kind, values, run.states, record.times)
     columns = []
     for signals, kind in asked_of(model):
         if kind in shapes:
