@@ -414,6 +414,46 @@ def test_a_scale_is_found_beside_a_run_at_rest(names: str) -> None:
     assert names == "z alt" or found.signals == ("alt",)
 
 
+def rolling(seed: int, late: int = 0) -> tuple[Model, Dataset]:
+    """Roll and its rate, five samples a period, of a hull that is steered by six sines in gusts."""
+    model = Model("roll", states("phi p"), (), outputs("phi p"), {"phi": "p", "p": "-p"})
+    rng, t, dt = np.random.default_rng(seed), 0.8 * np.arange(420), 0.1
+    lines = 2.0 * np.pi * np.arange(1, 7) / rng.uniform(32.0, 64.0)
+    phases = rng.uniform(0.0, 2.0 * np.pi, 6)
+
+    def rates(x: np.ndarray, rudder: float, force: float) -> np.ndarray:
+        p, r, phi = x
+        yaw = 0.22 * rudder - 0.35 * r - 1.3 * r * abs(r) + 0.05 * phi
+        return np.array([force + 0.7 * rudder - 2.5 * r - 0.55 * p - 2.7 * np.sin(phi), yaw, p])
+
+    x, force, rudder, seen = np.zeros(3), 0.0, 0.0, []
+    for k in range(8 * t.size):
+        if k % 8 == 0:  # commands are held from sample to sample
+            rudder = float(np.clip(np.sin(lines * dt * k + phases).sum() / 15.0, -0.3, 0.3))
+            seen.append(x)
+        force += -0.5 * dt * force + 0.006 * np.sqrt(dt) * rng.standard_normal()
+        middle = x + 0.5 * dt * rates(x, rudder, force)
+        x = x + dt * rates(x + 0.5 * dt * rates(middle, rudder, force), rudder, force)
+    right = np.array(seen)[:, [2, 0]]
+    right[late:, 1] = right[: t.size - late, 1]
+    logged = right + [0.0074, 0.0089] * rng.standard_normal((t.size, 2))
+    return model, Dataset((Record("run", t, np.zeros((t.size, 0)), logged, model.channels),))
+
+
+@pytest.mark.parametrize("seed", [29, 34])
+def test_signals_are_not_late_together_by_a_period(seed: int) -> None:
+    """Undone, two delays of 4.4 and 4.7 s, or two clocks, left more than there was."""
+    model, data = rolling(seed)
+    assert not check(data, model).findings
+
+
+def test_a_late_signal_of_a_periodic_motion_is_found() -> None:
+    """A rate that is a sample late, or the angle that is early, is all that is wrong."""
+    model, data = rolling(29, late=1)
+    (found,) = check(data, model).serious
+    assert (found.kind, abs(found.size)) == ("delay", pytest.approx(0.8, abs=0.1))
+
+
 @pytest.mark.parametrize("logged", [1.0, 1.1])
 def test_accelerations_that_are_held_make_no_scale(logged: float) -> None:
     """Between samples a velocity moves on straight lines; splines take 2 % of it away.

@@ -46,7 +46,7 @@ def diagnosed(traces: Sequence[Trace], question: Question) -> tuple[list[Found],
     """Faults that the equations show: readings first where nothing else is near, then sizes."""
     plain = search(traces, question, only_linear=True)
     if not plain.strained and not _nearer(traces, question):
-        return [], plain
+        return [], _unopposed(plain, traces, question)
     found, start = misread(traces, question)
     right = mended(traces, found, question.relations)
     ends = [search(right, question) if found or plain.strained else plain]
@@ -54,8 +54,27 @@ def diagnosed(traces: Sequence[Trace], question: Question) -> tuple[list[Found],
     best = max(ends, key=lambda end: _worth(end, right, question))
     if named := [reading for one in best.found for reading in _as_units(one, units_of(traces))]:
         found = [*found, *named]
-        best = search(mended(traces, found, question.relations), question)
-    return found, best
+        right = mended(traces, found, question.relations)
+        best = search(right, question)
+    return found, _unopposed(best, right, question)
+
+
+def _unopposed(end: Result, traces: Sequence[Trace], question: Question) -> Result:
+    """The end of a search, or of one without faults of a kind that stand against one another.
+
+    Of two signals that are late the equations tell the difference, and where motion repeats itself
+    that but for whole periods: linearised step by step both may grow until the signals, with both
+    undone, agree less than as logged.
+    """
+    kinds = [one.candidate.kind for one in end.found]
+    opposed = {one.candidate for one in end.found if kinds.count(one.candidate.kind) > 1}
+    if not opposed:
+        return end
+    common = tuple(one for one in question.common if one not in opposed)
+    single = tuple(one for one in question.single if one not in opposed)
+    fewer = replace(question, common=common, single=single)
+    other = replace(_unopposed(search(traces, fewer), traces, fewer), seen=end.seen)
+    return max((end, other), key=lambda one: _worth(one, traces, question))
 
 
 def _worth(end: Result, traces: Sequence[Trace], question: Question) -> float:
