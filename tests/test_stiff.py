@@ -284,6 +284,18 @@ def test_a_fit_goes_on_by_finer_steps_though_one_between_does_not_end() -> None:
     assert resolved(coarse, again) is coarse
 
 
+def test_where_another_fit_begins_need_not_be_resolved() -> None:
+    """It is by the model's own step, near the fit that is resolved, whose iterations it spares."""
+    estimator = MultipleShooting(disturbances="none")
+    begun, fit = (way(rubbing(), slid(0)) for way in (estimator.begun, estimator.fit))
+    assert begun.model.step == 0.2
+    assert begun.integration is None
+    assert fit.model.step < 0.2
+    assert begun.iterations <= 0.5 * fit.iterations
+    for name, value in fit.values.items():
+        assert begun.values[name] == pytest.approx(value, rel=0.1)
+
+
 @pytest.mark.parametrize("count", [8, *slow(12)])
 def test_estimates_do_not_depend_on_the_step(count: int) -> None:
     """Intervals hold although the model's step resolves no friction; one that does is kept."""

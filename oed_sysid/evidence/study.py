@@ -548,7 +548,7 @@ def _from_white_noise(
     model, train = setting.model, setting.dataset
     shooting = Shooting(model, train, setting.white)
     starts = [Start.at(shooting, shooting.start_unknowns())]
-    fit = min((PLAIN.fit(one, train) for one in (model, *more)), key=lambda one: one.cost)
+    fit = min((PLAIN.begun(one, train) for one in (model, *more)), key=lambda one: one.cost)
     if np.isfinite(fit.cost):
         starts.append(Start(fit.model.values, fit.initial_states, fit.local_values))
     test = _best_test(setting, starts)

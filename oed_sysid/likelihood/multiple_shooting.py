@@ -247,6 +247,14 @@ class MultipleShooting:
 
             return resolved(self._fit(given), again)
 
+    def begun(self, model: Model, dataset: Dataset) -> Fit:
+        """Where another estimation may begin: a fit that may depend on the integration step.
+
+        Parameters, returns and errors are those of :meth:`fit`.
+        """
+        with one_thread():
+            return self._fit(_Given(model, dataset, None, None, None))
+
     def _fit(self, given: _Given) -> Fit:
         """The fit with process noise where it acts; by IPOPT from that without constraints."""
         check_channels(given.model, given.dataset)
