@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +36,7 @@ from oed_sysid.evidence.claim import (
 )
 from oed_sysid.evidence.rank import pairs, rank
 from oed_sysid.evidence.score import two_sided
-from oed_sysid.evidence.study import RISE, RISE_DISTURBED, Study
+from oed_sysid.evidence.study import RISE, RISE_DISTURBED, Study, worse
 from oed_sysid.likelihood.disturbances import disturbed_equations
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.noise_model import Levels
@@ -235,6 +236,22 @@ def test_whole_runs_may_wander_under_process_noise_only() -> None:
     refused = Claim("x", 30.0, -5.0, 10.0, 1.0, 1.1, allowed=RISE_DISTURBED)
     assert (refused.statistic, refused.decision) == (25.0, "whole runs get worse")
     assert replace(refused, after=1.01).stands
+
+
+@pytest.mark.parametrize(
+    ("error", "likelier", "kept"),
+    [(1.01, -3.0, "after"), (1.1, 3.0, "after"), (1.1, -3.0, "before"), (1.3, 3.0, "before")],
+)
+def test_a_stage_is_kept_as_a_claim_is(error: float, likelier: float, kept: str) -> None:
+    """Beside process noise whole runs may be a tenth worse where the records are likelier."""
+    predicted = {"before": 10.0, "after": 10.0 - likelier}
+    study: Any = SimpleNamespace(
+        validation=object(),
+        rises=lambda *_, allowed=RISE_DISTURBED: worse(1.0, error, allowed),
+        predict=lambda fit, _: SimpleNamespace(value=predicted[fit]),
+    )
+    stages: Any = ("before", "after")
+    assert Study.kept(study, *stages) == kept
 
 
 def test_what_stands_and_was_not_taken_says_why() -> None:

@@ -448,8 +448,16 @@ class Study:
         return worse(old, new, allowed or allowed_rise(after))
 
     def kept(self, before: FilteredSolution, after: FilteredSolution | None) -> FilteredSolution:
-        """What a stage returns: what it made, unless it failed or whole validation runs rise."""
-        return before if after is None or self.rises(before, after) else after
+        """What a stage returns: what it made, unless it failed or whole validation runs rise.
+
+        As of a claim, by more than arithmetic only where the validation records are likelier.
+        """
+        if after is None or self.rises(before, after):
+            return before
+        if self.validation is None or not self.rises(before, after, allowed=RISE):
+            return after
+        old, new = (self.predict(fit, self.validation).value for fit in (before, after))
+        return after if new < old else before
 
 
 def _solved(
