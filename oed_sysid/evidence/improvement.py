@@ -440,7 +440,7 @@ class Improvement:
                 UNCONFIRMED if unexplained else "Nothing is missing that these records could show."
             ]
             best = self.ranking.refits[0] if self.ranking.refits else None
-            if best is not None and hopeful(best, 0.0) and best.name not in self.rejected:
+            if best is not None and hopeful(best, 0.0) and best.gain < best.needed:
                 lines.append(
                     f"A hint, no more: {best.name} would be worth {best.gain:.1f} on the training "
                     f"records, where {best.needed:.1f} are needed. A manoeuvre that excites it "

@@ -57,7 +57,7 @@ from oed_sysid.evidence.readings import diagnosed
 from oed_sysid.evidence.relations import READINGS, Relation
 from oed_sysid.evidence.result import Correction, Finding, Judged
 from oed_sysid.evidence.screens import Fault, marked, screen
-from oed_sysid.evidence.traces import Trace, fast_noise
+from oed_sysid.evidence.traces import Trace, fast_noise, parabolas
 from oed_sysid.evidence.words import Log, judged_row, said, screened_inputs
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import Fit
@@ -375,7 +375,7 @@ def _trace(record: Record, model: Model) -> Iterator[Trace]:
         name = model.state_names[k]
         present = np.isfinite(values[name])
         filled = np.where(present, values[name], guess)
-        taken = _parabolas(filled) if noise[name] else filled
+        taken = parabolas(filled) if noise[name] else filled
         values[smooth(name)] = np.where(present, taken, np.nan)
     noise |= {smooth(name): level for name, level in noise.items()}
     values |= dict(zip(model.input_names, record.inputs.T, strict=True))
@@ -410,14 +410,6 @@ def smooth(name: str) -> str:
     and begin its answer before its cause.
     """
     return f"{name} smoothed"
-
-
-def _parabolas(series: np.ndarray) -> np.ndarray:
-    """Parabolas through nine samples each, at their middle (Savitzky & Golay 1964)."""
-    from scipy.signal import savgol_filter  # takes half a second
-
-    result: np.ndarray = savgol_filter(series, 9, 2)
-    return result
 
 
 def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question:

@@ -23,14 +23,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from time import perf_counter
 
 import numpy as np
 
 from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
-from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, ModelError, SimulationError
+from oed_sysid.evidence.traces import parabolas
 from oed_sysid.likelihood.disturbances import Place, chosen_places, disturbance
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import Integration, once_a_fit
@@ -196,6 +197,23 @@ class Study:
         joined = fitting_candidates(self.base, (*self.candidates, *effects))
         kernel = kernel or _kernel(self.base, joined, self.setting)
         return replace(self, candidates=joined, kernel=kernel)
+
+    @cached_property
+    def smoothed(self) -> Study | None:
+        """The same study of records whose measured inputs are smoothed; None where none is noisy.
+
+        An input that is linear between samples and has noise was measured; commands are as logged.
+        """
+        linear = {one.name for one in self.base.inputs if one.interpolation == "linear"}
+        noisy = [place.channel for place in self.setting.inputs if place.channel in linear]
+        if not noisy:
+            return None
+        train, validation = (
+            None if records is None else Dataset(tuple(_smoothed(one, noisy) for one in records))
+            for records in (self.train, self.validation)
+        )
+        assert train is not None
+        return replace(self, train=train, validation=validation)
 
     # -- fits ------------------------------------------------------------------------
 
@@ -468,6 +486,14 @@ def _solved(
     return solve_filtered(
         problem, point, max_iterations=max_iterations, tolerance=0.01, polish=0
     ).finite
+
+
+def _smoothed(record: Record, noisy: Sequence[str]) -> Record:
+    """A record whose noisy inputs are parabolas through neighbours."""
+    inputs = record.inputs.copy()
+    for column in map(record.channels.input_names.index, noisy):
+        inputs[:, column] = parabolas(inputs[:, column])
+    return record.with_inputs(inputs)
 
 
 def allowed_rise(fit: FilteredSolution) -> float:
