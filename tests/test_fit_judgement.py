@@ -41,8 +41,9 @@ from oed_sysid import (
 from oed_sysid.baselines import JointKalmanFilter
 from oed_sysid.cli import NO_RESULT, SUSPECT, main
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
+from oed_sysid.evidence.check import LogCheck, with_estimates
 from oed_sysid.likelihood import multiple_shooting
-from oed_sysid.likelihood.departures import estimate_departures
+from oed_sysid.likelihood.departures import estimate_departures, off_origin
 from oed_sysid.likelihood.estimate import Departure
 from oed_sysid.likelihood.gauss_newton import nowhere
 from oed_sysid.likelihood.judgement import CHECKS, FATAL, SAYS, Concern, judge, unexplained
@@ -322,8 +323,8 @@ BOAT = Model(
 )  # fmt: skip
 
 
-def boat_data(late: float, ahead: float) -> Dataset:
-    """A boat speeding up in a zigzag; its receiver is late, s, and ahead of the origin, m."""
+def boat_data(late: float, ahead: float, slow: float = 0.0) -> Dataset:
+    """A boat speeding up in a zigzag; its receiver is late, s, ahead of the origin, m, and slow."""
     times, rng = 0.2 * np.arange(300), np.random.default_rng(0)
     rudder = 0.4 * np.sign(np.sin(2.0 * np.pi * times / 17.0))
 
@@ -338,25 +339,54 @@ def boat_data(late: float, ahead: float) -> Dataset:
         states[k + 1] = step.y[:, -1]
     r, psi, *position = states.T[1:]
     place = np.array(position) + ahead * np.array([np.cos(psi), np.sin(psi)])
-    x, y = (CubicSpline(times, one)(times - late) for one in place)
+    x, y = (CubicSpline(times, one)(times - late - slow * times) for one in place)
     outputs = np.column_stack([x, y, psi, r])
     outputs += np.array([0.03, 0.03, 0.006, 0.006]) * rng.standard_normal(outputs.shape)
     return Dataset((Record("a", times, rudder[:, None], outputs, BOAT.channels),))
 
 
 @pytest.mark.parametrize(
-    ("late", "ahead", "kind"), [(0.0, 0.0, ""), (0.4, 0.0, "delay"), (0.0, 2.5, "lever")]
+    ("late", "ahead", "slow", "kind"),
+    [
+        (0.0, 0.0, 0.0, ""),
+        (0.4, 0.0, 0.0, "delay"),
+        (0.0, 2.5, 0.0, "lever"),
+        (0.0, 0.0, 0.01, "clock"),
+    ],
 )
-def test_a_receiver_departs_as_a_whole(late: float, ahead: float, kind: str) -> None:
-    """Positions that are late, or of a point ahead, are named as one; their noise is not blamed."""
-    data = boat_data(late, ahead)
+def test_a_receiver_departs_as_a_whole(late: float, ahead: float, slow: float, kind: str) -> None:
+    """Positions that are late, slow, or of a point ahead are named as one, and the log is suspect.
+
+    Their noise is not blamed.
+    """
+    data = boat_data(late, ahead, slow)
     fit = MultipleShooting(disturbances="none").fit(BOAT, data)
-    found = [c for c in fit.concerns if c.kind in ("delay", "lever", "offset", "scale")]
+    asked = ("delay", "lever", "clock", "offset", "scale")
+    found = [c for c in fit.concerns if c.kind in asked]
     assert [one.kind for one in found] == [kind] * bool(kind)
     assert not [c.signal for c in fit.concerns if c.kind == "noise_level"]
     for one in found:
         assert "x and y" in one.text
-        assert one.size == pytest.approx(late or ahead, rel=0.15)
+        assert one.size == pytest.approx(late or ahead or slow, rel=0.15)
+    log = with_estimates(LogCheck((), data.names), fit)
+    assert [one.name for one in log.serious] == [f"{kind} x, y"] * bool(kind)
+    for finding in log.serious:
+        assert finding.interval is not None
+        assert finding.interval[0] < (late or ahead or slow) < finding.interval[1]
+
+
+def test_an_accelerometer_off_the_origin_feels_the_turning() -> None:
+    """A metre ahead adds the second derivative of its place, by differences, along the hull."""
+    model = replace(BOAT, outputs=(*BOAT.outputs, Output("ax", "m/s^2", expression="dot(u)")))
+    times = 0.01 * np.arange(1000)
+    psi, turning = 0.5 * np.sin(0.8 * times), 0.4 * np.cos(0.8 * times)
+    states = np.column_stack([2.0 + 0.0 * times, turning, psi, times, times])
+    added = off_origin(model, "ahead", model.value_vector, states, times)
+    place = np.column_stack([np.cos(psi), np.sin(psi)])
+    assert added[:, :2] == pytest.approx(place, abs=1e-12)
+    curved = np.gradient(np.gradient(place, times, axis=0), times, axis=0)
+    along = np.sum(curved * place, axis=1)
+    assert added[2:-2, 4] == pytest.approx(along[2:-2], abs=1e-4)
 
 
 def test_a_receiver_off_the_origin_is_asked_beside_process_noise() -> None:
@@ -415,7 +445,7 @@ def test_departures_are_asked_beside_process_noise() -> None:
     assert fit.noise.has_forces
     assert not {"delay", "offset", "scale"} & kinds(fit)
     for one in departures_beside(fit):
-        apart = 0.01 if one.kind == "late" else 0.0
+        apart = {"late": 0.01, "slow": 0.01 / right[0].duration}.get(one.kind, 0.0)
         assert abs(one.size) < 3.0 * one.std + apart
     off = changed(right, lambda record: record.outputs + np.array([0.0, 0.004]))
     fit = MultipleShooting().fit(steered_ship.YAW, off)

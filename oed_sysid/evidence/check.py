@@ -55,15 +55,17 @@ from oed_sysid.evidence.result import (
     Finding,
     Judged,
     LogCheck,
+    interval,
     kinds_that_are,
 )
 from oed_sysid.evidence.screens import Fault, jitter, marked, screened
 from oed_sysid.evidence.traces import Trace, units_of
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.likelihood.between_records import WORTH_TELLING
+from oed_sysid.likelihood.departures import ACTING
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.input_factors import input_factors
-from oed_sysid.likelihood.judgement import concerns_of
+from oed_sysid.likelihood.judgement import concerns_of, departure_of
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.likelihood.whole_runs import whole_runs
 from oed_sysid.physics import Effect
@@ -285,8 +287,9 @@ def with_estimates(
     -------
     LogCheck
         Suspect as well where values are many prior deviations away (``far``) or an input acts
-        otherwise than the start values say (``input_factor``); with parameters that are others in
-        single records (``run``), and without noise that the fit finds to be motion.
+        otherwise than the start values say (``input_factor``), and where a sensor that is late,
+        off, of another scale, clock or place explains what the fit leaves; with parameters that
+        are others in single records (``run``), and without noise that the fit finds to be motion.
     """
     begun, noisy = nominal or fit.nominal, _noisier(fit)
     findings = [
@@ -297,7 +300,8 @@ def with_estimates(
     for one in input_factors(fit, begun):
         row = {"says": one.text, "name": one.channel.name}
         findings.append(words.said("input_factor", (one.channel.name,), log.records, row))
-    findings += [*_far(fit, log.records), *scaled_inputs(fit), *between_runs(fit)]
+    findings += [*_far(fit, log.records), *_departing(log, fit)]
+    findings += [*scaled_inputs(fit), *between_runs(fit)]
     return replace(log, findings=tuple(_ordered(findings)))
 
 
@@ -383,6 +387,26 @@ def _far(fit: Fit, records: tuple[str, ...]) -> list[Finding]:
     far = {name: size for name, size in away.items() if size > BEYOND}
     row = {"away": ", ".join(f"{name} ({size:.1f})" for name, size in far.items())}
     return [words.said("far", tuple(far), records, row)] if far else []
+
+
+def _departing(log: LogCheck, fit: Fit) -> list[Finding]:
+    """The departure of sensors that a fit names, unless the equations between signals have."""
+    best = departure_of(fit) if fit.status.ok or fit.status.code == "degenerate" else None
+    if best is None or best.kind in ACTING:  # so may an actuator that lags, or is off
+        return []
+    own = {output.name: output.unit for output in fit.model.outputs}
+    kinds = {"delay": "s", "bias": own[best.signal], "scale": "1", "clock": "1", "lever": "m"}
+    (one,) = (c for c in concerns_of(fit, "offset", *kinds) if c.size == best.size)
+    kind = "bias" if one.kind == "offset" else one.kind
+    if any(log.named(kind, name) for name in best.signals):
+        return []
+    says, _, fix = one.text.partition(". ")
+    finding = words.said(
+        kind, best.signals, log.records, {"says": f"{says}.", "todo": fix}, row="departs",
+        size=best.size, interval=interval(best.size, best.std), unit=kinds[kind], gain=best.gain,
+        alternatives=best.rivals,
+    )  # fmt: skip
+    return [finding]
 
 
 def _equations(

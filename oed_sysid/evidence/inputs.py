@@ -57,11 +57,11 @@ from oed_sysid.evidence.readings import diagnosed
 from oed_sysid.evidence.relations import READINGS, Relation
 from oed_sysid.evidence.result import Correction, Finding, Judged
 from oed_sysid.evidence.screens import Fault, marked, screen
-from oed_sysid.evidence.traces import Trace, fast_noise, parabolas
+from oed_sysid.evidence.traces import Trace, fast_noise
 from oed_sysid.evidence.words import Log, judged_row, said, screened_inputs
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.noise_levels import Runs, white_level
+from oed_sysid.likelihood.noise_levels import Runs, parabolas, white_level
 from oed_sysid.likelihood.projection import score_beside
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_columns, measured_states
 from oed_sysid.physics.channels import Input, State

@@ -290,13 +290,17 @@ class Signal:
         extreme = (runs.value == values[0]) | (runs.value == values[-1])
         lost = far | (fallen & (recurs >= 4) & (recurs > 0.8 * np.bincount(place)[place]))
         lost |= fallen & (runs.length >= (least if coarse else 3)) & ((recurs > 1) | extreme)
-        long = (runs.length >= least) & ~lost
-        level = (runs.length >= min(3.0, least)) & extreme & ~lost & ~both
-        cut = level & ((np.bincount(place, weights=level)[place] >= 2) | long) & (not coarse)
         # It stops at once, and does not come to rest at a turning point.
         pace = float(np.median(changes))
         first, last = np.fmin(np.abs(into), np.abs(out)), np.fmax(np.abs(into), np.abs(out))
         sudden = (first > 0.02 * pace) & (last > 0.3 * pace)
+        # Runs of three at one value, where rounding would hardly make two of them at any.
+        three = (runs.length >= 3) & ((n * p**2) ** 2 < self.alpha)
+        again = np.bincount(place, weights=three)[place] > 1
+        lost |= three & again & sudden & ~extreme & (not coarse)
+        long = (runs.length >= least) & ~lost
+        level = (runs.length >= min(3.0, least)) & extreme & ~lost & ~both
+        cut = level & ((np.bincount(place, weights=level)[place] >= 2) | long) & (not coarse)
         masks = lost, cut, long & ~cut & (runs.length >= 8) & sudden
         return masks if self.noisy else (lost & False,) * 3
 

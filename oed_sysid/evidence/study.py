@@ -31,7 +31,6 @@ import numpy as np
 from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, ModelError, SimulationError
-from oed_sysid.evidence.traces import parabolas
 from oed_sysid.likelihood.disturbances import Place, chosen_places, disturbance
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import Integration, once_a_fit
@@ -41,7 +40,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FROZEN_TOLERANCE, FilteredSolution, solve_filtered
 from oed_sysid.likelihood.integration import resolved
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
+from oed_sysid.likelihood.noise_levels import credible_levels, given_levels, parabolas
 from oed_sysid.likelihood.noise_model import Disturbances, Levels, NoiseModel, forces_in, seas_in
 from oed_sysid.likelihood.projection import eliminate, inverse_of
 from oed_sysid.likelihood.random_forces import Start, admitted, fit_disturbed, solved

@@ -212,14 +212,3 @@ def fast_noise(values: np.ndarray) -> float:
     if series.size < LEAST:
         return 0.0
     return fast_level([series], order=4)
-
-
-def parabolas(series: np.ndarray) -> np.ndarray:
-    """Parabolas through nine samples each, at their middle (Savitzky & Golay 1964).
-
-    Of white noise a quarter of the variance is left; fewer than nine samples stay as they are.
-    """
-    from scipy.signal import savgol_filter  # takes half a second
-
-    smooth: np.ndarray = savgol_filter(series, 9, 2) if series.size >= 9 else series
-    return smooth

@@ -303,13 +303,13 @@ def screen_findings(
 
 
 def screened_inputs(faults: Iterable[Fault], traces: Sequence[Trace]) -> Iterator[Finding]:
-    """Findings of samples of inputs that say nothing; a run has no inputs to leave empty."""
+    """Findings of samples of inputs that say nothing; suspect, as no input can be left empty."""
     series = {trace.name: trace for trace in traces}
     for fault in faults:
         found = _screened(fault.kind, fault.signal, [fault], series)
         row = KINDS["input held" if fault.kind == "held" else "input frozen"]
         changes = row["changes"].format(both=fault.signal)
-        yield replace(found, changes=changes, fix=row["fix"], correction=None)
+        yield replace(found, changes=changes, fix=row["fix"], correction=None, suspect=True)
 
 
 def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace]) -> Finding:

@@ -1,4 +1,4 @@
-r"""Departures of a log from a model: signals that are late, off or of another scale.
+r"""Departures of a log from a model: signals that are late, off, of another scale or place.
 
 An output that comes late by :math:`\tau` leaves :math:`-\tau\,\dot h` in its residual, one whose
 zero is off :math:`c` itself, one of a scale :math:`1 + s` :math:`s\,h`; an input that acts late
@@ -12,11 +12,14 @@ a score test at no departure with everything else estimated too (Cox & Hinkley 1
 compete: the one that explains most is named, others follow once it is mended.
 
 What one instrument measures departs together. Outputs of one unit may be late by the same time, and
-positions be those of a receiver at :math:`\ell` from the origin,
+positions be those of a receiver, accelerations those of a unit, at :math:`\ell` from the origin,
 
-.. math:: g = R\,e_i = \partial \dot\eta / \partial \nu_i ,
+.. math:: g = R\,e_i = \partial \dot\eta / \partial \nu_i , \qquad
+    g = \dot\omega \times e_i + \omega \times (\omega \times e_i) ,
 
-the direction of a body axis being what a velocity along it adds to the rates of the positions.
+the direction of a body axis being what a velocity along it adds to the rates of the positions, and
+:math:`\omega` the rates of turn. What one clock times is late by a share of the time since the
+record began.
 
 Actuators that did not begin at their first command.
 
@@ -47,10 +50,11 @@ from oed_sysid.compiled.kernels import Kernel, Run, by_unknowns, kernel
 from oed_sysid.data.record import Record
 from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate
 from oed_sysid.likelihood.information import COLOUR_LIMIT
-from oed_sysid.likelihood.noise_levels import RARE
+from oed_sysid.likelihood.noise_levels import RARE, parabolas
 from oed_sysid.likelihood.projection import project_out, score_beside
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.constants import BEYOND, MATERIAL
+from oed_sysid.text import expressions
 
 Departed = TypeVar("Departed", Departure, ActuatorStart)
 # Standard errors from which one value is not another, or a signal is no noise.
@@ -68,9 +72,12 @@ def _slope_before(outputs: np.ndarray, times: np.ndarray) -> np.ndarray:
 # filter's innovations of measurements to come, and right logs would seem early.
 SHAPES: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "late": lambda outputs, times: -_slope_before(outputs, times),
+    "slow": lambda outputs, times: -((times - times[0]) * _slope_before(outputs, times).T).T,
     "off": lambda outputs, _: np.ones_like(outputs),
     "scale": lambda outputs, _: outputs,
 }
+# What an input does that is late, s, or whose zero is off, in its unit.
+ACTING = ("acts late", "acts off")
 # Axis of the body along which a receiver of positions may be away from the origin.
 LEVERS = {"ahead": "X", "to starboard": "Y", "below": "Z"}
 
@@ -171,12 +178,12 @@ def _scores(fit: Estimate, parts: Sequence[_Evidence], *, joint: bool) -> Iterat
 
 
 def asked_of(model: Model) -> list[tuple[tuple[str, ...], str]]:
-    """Signals and kinds of the departures that are asked: of outputs, and late inputs."""
+    """Signals and kinds of the departures that are asked, of outputs and of inputs."""
     return [
         *(((name,), kind) for kind in SHAPES for name in model.output_names),
-        *((signals, "late") for signals in of_one_unit(model)),
-        *((positions_of(model), kind) for kind in levers_of(model)),
-        *(((name,), "acts late") for name in model.input_names),
+        *((signals, kind) for signals in of_one_unit(model) for kind in ("late", "slow")),
+        *((signals, kind) for signals in instruments_of(model) for kind in levers_of(model)),
+        *(((name,), kind) for kind in ACTING for name in model.input_names),
     ]
 
 
@@ -195,16 +202,31 @@ def positions_of(model: Model) -> tuple[str, ...]:
     )
 
 
+def accelerations_of(model: Model) -> dict[str, int]:
+    """Outputs that are accelerations of the vehicle, and the body axis of each."""
+    axes = {f"dot({model.axes.get(axis)})": i for i, axis in enumerate(LEVERS.values())}
+    found = ((one.name, axes.keys() & expressions.names(one.source)) for one in model.outputs)
+    return {name: axes[told.pop()] for name, told in found if len(told) == 1}
+
+
+def instruments_of(model: Model) -> list[tuple[str, ...]]:
+    """Outputs of a receiver and of accelerometers, of which it is asked where these are.
+
+    A single position does not tell that from its zero.
+    """
+    positions, accelerations = positions_of(model), tuple(accelerations_of(model))
+    return [*[positions] * (len(positions) > 1), *[accelerations] * bool(accelerations)]
+
+
 def levers_of(model: Model) -> tuple[str, ...]:
-    """Kinds of a receiver off the origin: a single position does not tell them from its zero."""
-    asked = len(positions_of(model)) > 1
-    return tuple(kind for kind, axis in LEVERS.items() if asked and axis in model.axes)
+    """Kinds of an instrument off the origin."""
+    return tuple(kind for kind, axis in LEVERS.items() if axis in model.axes)
 
 
 def off_origin(
     model: Model, kind: str, values: np.ndarray, states: np.ndarray, times: np.ndarray
 ) -> np.ndarray:
-    """What positions of a receiver 1 m off the origin add to outputs, ``(n_times, n_outputs)``.
+    """What instruments 1 m off the origin add to positions and accelerations.
 
     Parameters
     ----------
@@ -215,6 +237,10 @@ def off_origin(
     states : ndarray (n_times, n_states)
         Of the vehicle, perhaps with those that effects add behind them.
     times : ndarray (n_times,)
+
+    Returns
+    -------
+    ndarray (n_times, n_outputs)
     """
     graph, names = build(model), model.state_names
     own = np.zeros((graph.n_states, len(times)))
@@ -222,11 +248,20 @@ def off_origin(
     faster = own.copy()
     faster[names.index(model.axes[LEVERS[kind]])] += 1.0
     before, after = (np.array(graph.rates(x, 0.0, values, times[None])) for x in (own, faster))
-    added = np.zeros((len(times), len(model.outputs)))
+    turning = np.zeros((len(times), 3))
+    for i, axis in enumerate("KMN"):
+        if axis in model.axes:
+            turning[:, i] = states[:, names.index(model.axes[axis])]
+    arm = np.eye(3)[[*LEVERS].index(kind)]
+    around = np.cross(turning, np.cross(turning, arm))
+    around += np.cross(np.gradient(turning, times, axis=0), arm)
+    accelerations, added = accelerations_of(model), np.zeros((len(times), len(model.outputs)))
     for column, output in enumerate(model.outputs):
         if output.name in positions_of(model):
             row = names.index(output.source)
             added[:, column] = after[row] - before[row]
+        elif output.name in accelerations:
+            added[:, column] = around[:, accelerations[output.name]]
     return added
 
 
@@ -240,7 +275,7 @@ def estimate_departures(fit: Estimate) -> tuple[Departure, ...]:
     found = []
     for one in _scores(fit, _evidence(fit, partial(_departed, fit), fewest=3), joint=True):
         signals, kind = asked_of(fit.model)[one.column]
-        std = one.std * max(own[name] for name in (own if kind == "acts late" else signals))
+        std = one.std * max(own[name] for name in (own if kind in ACTING else signals))
         numbers = one.size, std, one.gain, one.share
         found.append(Departure(signals[0], kind, *numbers, together=signals[1:]))
     return tuple(found)
@@ -255,8 +290,8 @@ def _slowness(fit: Estimate) -> dict[str, float]:
 def _departed(fit: Estimate, index: int, run: Run, _: np.ndarray) -> np.ndarray:
     """Derivatives of a record's outputs by every departure that is asked."""
     record, shift, model = fit.dataset[index], fit.dataset[index].sample_time, fit.model
-    values = values_of(fit, index)
-    shapes = {kind: shape(run.outputs, record.times) for kind, shape in SHAPES.items()}
+    values, smoothed = values_of(fit, index), outputs_of(fit, index, smoothed_inputs(record))
+    shapes = {kind: shape(smoothed, record.times) for kind, shape in SHAPES.items()}
     for kind in levers_of(model):
         shapes[kind] = off_origin(model, kind, values, run.states, record.times)
     columns = []
@@ -264,7 +299,7 @@ def _departed(fit: Estimate, index: int, run: Run, _: np.ndarray) -> np.ndarray:
         if kind in shapes:
             columns.append(shapes[kind] * np.isin(model.output_names, signals))
             continue
-        moved = acting_late(record, model.input_names.index(signals[0]), shift).inputs
+        moved = acting(record, model.input_names.index(signals[0]), kind, shift).inputs
         # Commands are steps, without derivatives: the difference of two runs takes their place.
         still = np.array_equal(moved, record.inputs)
         after = run.outputs if still else outputs_of(fit, index, moved)
@@ -272,11 +307,25 @@ def _departed(fit: Estimate, index: int, run: Run, _: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=2)
 
 
-def acting_late(record: Record, column: int, by: float) -> Record:
-    """A record in which one input acts later by some seconds."""
-    inputs = record.inputs.copy()
-    inputs[:, column] = np.interp(record.times - by, record.times, inputs[:, column])
+def acting(record: Record, column: int, kind: str, by: float) -> Record:
+    """A record in which one input acts later by some seconds, or is larger by so much."""
+    inputs, known = record.inputs.copy(), smoothed_inputs(record)[:, column]
+    late = np.interp(record.times - by, record.times, known) - known
+    inputs[:, column] += late if kind == "acts late" else by
     return record.with_inputs(inputs)
+
+
+def smoothed_inputs(record: Record) -> np.ndarray:
+    """Inputs ``(n_times, n_inputs)``, those that are linear between samples by parabolas.
+
+    Noise of what was measured is in the residuals, too: a departure that had it as well would be
+    taken for late or early.
+    """
+    inputs = record.inputs.copy()
+    for column, channel in enumerate(record.channels.inputs):
+        if channel.interpolation == "linear":
+            inputs[:, column] = parabolas(inputs[:, column])
+    return inputs
 
 
 def _clear(fit: Estimate, found: Sequence[Departed]) -> list[Departed]:

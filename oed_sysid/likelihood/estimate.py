@@ -61,11 +61,12 @@ class Departure:
     ----------
     signal : str
     kind : str
-        ``"late"``, ``"off"`` or ``"scale"`` of an output, ``"acts late"`` of an input, or where
-        from the origin positions are measured: ``"ahead"``, ``"to starboard"`` or ``"below"``.
+        ``"late"``, ``"slow"`` (its clock), ``"off"`` or ``"scale"`` of an output, ``"acts late"``
+        or ``"acts off"`` (larger than logged) of an input, or where from the origin positions or
+        accelerations are measured: ``"ahead"``, ``"to starboard"`` or ``"below"``.
     size, std : float
-        In s, in the unit of the signal, in m, or the share by which its scale is larger; and its
-        standard error.
+        In s, in the unit of the signal, in m, or the share of time lost or by which its scale is
+        larger; and its standard error.
     gain : float
         What it explains, in twice the log-likelihood.
     share : float

@@ -68,6 +68,7 @@ from oed_sysid.likelihood.between_records import CHANCE, FEWEST_RECORDS, WORTH_T
 from oed_sysid.likelihood.covariance import Peak, clear_peaks
 from oed_sysid.likelihood.departures import (
     CLEARLY,
+    LEVERS,
     change_of_outputs,
     clear_departure,
     clear_starts,
@@ -109,11 +110,13 @@ BARELY = 1.0 - NEGLIGIBLE
 FEW = 3.0
 # What a fit that ended early asks first; with the check at hand `advised` says what it found.
 LOOK = "See what the check of the log says (check, on the command line oed-sysid check)."
-# Where positions are measured, on either side of the origin.
+# Where positions and accelerations are measured, on either side of the origin; how an input reads
+# that acts with more than was logged.
 SIDES = {
     "ahead": ("ahead of", "astern of"),
     "to starboard": ("to starboard of", "to port of"),
     "below": ("below", "above"),
+    "acts off": ("low", "high"),
 }
 # Kinds that make a fit not converged, worst first, and those with which it may converge and must
 # still not be used.
@@ -129,9 +132,10 @@ class Concern:
     ----------
     kind : str
         ``noise_level``, ``autocorrelation``, ``narrow_band``, ``spikes``, ``delay``, ``offset``,
-        ``scale``, ``lever``, ``actuator_start``, ``per_record_follows``, ``records_differ``,
-        ``input_noise``, ``input_factor``, ``absorbed``, ``process_noise``, ``constraint``,
-        ``integration``, ``finer_step``, ``runaway``, ``degenerate`` or ``few_samples``.
+        ``scale``, ``clock``, ``lever``, ``actuator_start``, ``per_record_follows``,
+        ``records_differ``, ``input_noise``, ``input_factor``, ``absorbed``, ``process_noise``,
+        ``constraint``, ``integration``, ``finer_step``, ``runaway``, ``degenerate`` or
+        ``few_samples``.
     signal : str
         Output, input, state or parameter; empty where it is the whole fit.
     record : str
@@ -140,11 +144,12 @@ class Concern:
         A factor of the level (``noise_level``, ``absorbed``), the share of independent samples
         (``autocorrelation``), a number of samples (``spikes``), seconds (``delay``,
         ``narrow_band``), m (``lever``), the unit of the signal (``offset``, ``actuator_start``), a
-        share (``scale``), a correlation (``per_record_follows``), a factor of the standard error
-        (``records_differ``), the true input over the logged one (``input_factor``), noise levels
-        (``integration``, ``input_noise``), multiples of the scale (``runaway``) or of the signal
-        (``degenerate``), samples per unknown (``few_samples``), standard errors (``constraint``,
-        ``finer_step``), the score test's 2 delta ln L (``process_noise``).
+        share (``scale``, ``clock``), a correlation (``per_record_follows``), a factor of the
+        standard error (``records_differ``), the true input over the logged one
+        (``input_factor``), noise levels (``integration``, ``input_noise``), multiples of the scale
+        (``runaway``) or of the signal (``degenerate``), samples per unknown (``few_samples``),
+        standard errors (``constraint``, ``finer_step``), the score test's 2 delta ln L
+        (``process_noise``).
     text : str
         What was expected, what was found, what to do.
 
@@ -288,7 +293,9 @@ def _levels(fit: Estimate) -> Iterator[Found]:
             error = float(np.hypot(error, rest * (slow / whole) ** 2))
         if abs(np.log(factor)) < max(BEYOND * error, np.log1p(MATERIAL)):
             continue
-        if factor > 1.0 and _departs(fit):
+        departure = departure_of(fit) if factor > 1.0 else None
+        # What explains more than it leaves is no noise, in whatever it bends.
+        if departure is not None and departure.share > 0.5:
             continue
         wrong = "small" if factor > 1.0 else "large"
         so = f"Standard errors are too {wrong} for it: set noise_std, or noise='estimate'."
@@ -304,12 +311,6 @@ def _levels(fit: Estimate) -> Iterator[Found]:
             "low": factor * np.exp(-TWO_SIDED_95 * error),
             "high": factor * np.exp(TWO_SIDED_95 * error), "so": so,
         })  # fmt: skip
-
-
-def _departs(fit: Estimate) -> bool:
-    """Whether a departure explains more than it leaves: that is no noise, in whatever it bends."""
-    departure = _sought(fit)
-    return departure is not None and departure.share > 0.5
 
 
 def _level(fit: Estimate, column: int, share: float) -> tuple[float, float, bool] | None:
@@ -481,13 +482,13 @@ def _own_residuals(fit: Estimate) -> bool:
 
 def _departure(kinds: Sequence[str], fit: Estimate) -> Iterator[Found]:
     """The departure of a signal that explains most, where it is of these kinds."""
-    best = _sought(fit)
+    best = departure_of(fit)
     if best is not None and best.kind in kinds:
         yield Found(best.size, best.signal, facts=_facts_of(best, fit))
 
 
 @once_a_fit
-def _sought(fit: Estimate) -> Departure | None:
+def departure_of(fit: Estimate) -> Departure | None:
     """What explains most of a fit's departures: each kind of concern asks for the same."""
     if fit.innovations is None:
         return clear_departure(fit, estimate_departures(fit)) if _own_residuals(fit) else None
@@ -506,8 +507,9 @@ def _sought(fit: Estimate) -> Departure | None:
 
 def _facts_of(one: Departure, fit: Estimate) -> dict[str, Any]:
     """What the sentences name of a departure."""
-    units = {output.name: output.unit for output in fit.model.outputs if one.kind == "off"}
-    factor, unit = shown_unit(units.get(one.signal, ""))
+    units = {output.name: output.unit for output in fit.model.outputs}
+    units |= {channel.name: channel.unit for channel in fit.model.inputs}
+    factor, unit = shown_unit(units[one.signal]) if one.kind.endswith("off") else (1.0, "")
     many = one.size > 0
     logged = "are logged" if one.together else "is logged"
     sides = SIDES.get(one.kind, ("high", "low"))
@@ -515,6 +517,7 @@ def _facts_of(one: Departure, fit: Estimate) -> dict[str, Any]:
         "what": " and ".join(one.signals), "verb": "acts" if one.kind == "acts late" else logged,
         "unit": unit, "value": abs(factor * one.size), "error": TWO_SIDED_95 * factor * one.std,
         "late": "late" if many else "early", "side": sides[0 if many else 1],
+        "turned": ", as of the other sign," * (one.kind == "scale" and one.size < -1.0),
         "share": 100.0 * one.size, "doubt": 100.0 * TWO_SIDED_95 * one.std,
         "or": f", or {' or '.join(one.rivals)}," if one.rivals else "",
     }  # fmt: skip
@@ -841,10 +844,11 @@ CHECKS: tuple[tuple[str, Callable[[Estimate], Iterable[Found]]], ...] = (
     ("spikes", _excluded),
     ("spikes", _spikes),
     ("delay", partial(_departure, ("late", "acts late"))),
-    ("offset", partial(_departure, ("off",))),
+    ("offset", partial(_departure, ("off", "acts off"))),
     ("offset", _zeros),
     ("scale", partial(_departure, ("scale",))),
-    ("lever", partial(_departure, tuple(SIDES))),
+    ("clock", partial(_departure, ("slow",))),
+    ("lever", partial(_departure, tuple(LEVERS))),
     ("actuator_start", _starts),
     ("noise_level", _levels),
     ("absorbed", _absorbed),

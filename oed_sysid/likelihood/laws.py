@@ -50,11 +50,13 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import MINIMUM_SAMPLES, Record
 from oed_sysid.errors import SimulationError
 from oed_sysid.likelihood.departures import (
+    ACTING,
     LEVERS,
     SHAPES,
-    acting_late,
+    acting,
     asked_of,
     off_origin,
+    smoothed_inputs,
     values_of,
 )
 from oed_sysid.likelihood.disturbances import DISTURBANCE, chosen_places
@@ -185,8 +187,10 @@ def departures_beside(fit: Estimate) -> tuple[Departure, ...]:
     problem, unknowns = posed_again(fit)
     point = Scored(problem, unknowns, problem.passes(unknowns, levels=False, rows=True))
     asked, columns = asked_of(fit.model), list[list[np.ndarray]]()
+    calm = Dataset(tuple(one.with_inputs(smoothed_inputs(one)) for one in fit.dataset))
+    smoothed = problem.posed(dataset=calm).passes(unknowns, columns=False)
     for signals, kind in asked:
-        spoilt, unit = _spoilt(fit, signals, kind, point)
+        spoilt, unit = _spoilt(fit, signals, kind, problem, smoothed)
         moved = problem.posed(dataset=spoilt).passes(unknowns, columns=False)
         columns.append(
             [
@@ -211,21 +215,29 @@ def departures_beside(fit: Estimate) -> tuple[Departure, ...]:
 
 
 def _spoilt(
-    fit: Estimate, signals: Sequence[str], kind: str, point: Scored
+    fit: Estimate,
+    signals: Sequence[str],
+    kind: str,
+    problem: Filtered,
+    smoothed: Sequence[FilterPass],
 ) -> tuple[Dataset, float]:
-    """Records with some more of a departure undone, and how much that is."""
-    if kind == "acts late":
+    """Records with some more of a departure undone, and how much that is.
+
+    It is a departure of what is expected where noise of inputs is ``smoothed``.
+    """
+    if kind in ACTING:
         column = fit.model.input_names.index(signals[0])
-        # Commands are steps: less than a sample would move nothing.
+        # Commands are steps: late by less than a sample they would move nothing.
         unit = min(record.sample_time for record in fit.dataset)
-        return Dataset(tuple(acting_late(one, column, unit) for one in fit.dataset)), unit
+        return Dataset(tuple(acting(one, column, kind, unit) for one in fit.dataset)), unit
     records = []
-    for index, (record, part) in enumerate(zip(fit.dataset, point.passes, strict=True)):
-        outputs, expected = record.outputs.copy(), record.outputs - part.innovations
+    for index, record in enumerate(fit.dataset):
+        outputs, expected = record.outputs.copy(), record.outputs - smoothed[index].innovations
         if kind in LEVERS and not record.independent:
-            states = part.path[:, point.problem.own]
+            states = smoothed[index].path[:, problem.own]
             values = values_of(fit, index)
-            outputs -= off_origin(fit.model, kind, values, states, record.times)
+            added = off_origin(fit.model, kind, values, states, record.times)
+            outputs -= added * np.isin(fit.model.output_names, signals)
         for column in map(fit.model.output_names.index, () if kind in LEVERS else signals):
             seen = np.isfinite(outputs[:, column]) & (not record.independent)
             if seen.sum() > 1:
