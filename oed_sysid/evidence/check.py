@@ -70,7 +70,7 @@ from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.likelihood.whole_runs import whole_runs
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import BEYOND
+from oed_sysid.runtime.constants import BEYOND, MATERIAL, NEGLIGIBLE
 from oed_sysid.text.expressions import names as names_in
 
 __all__ = [
@@ -394,17 +394,26 @@ def _departing(log: LogCheck, fit: Fit) -> list[Finding]:
     best = departure_of(fit) if fit.status.ok or fit.status.code == "degenerate" else None
     if best is None or best.kind in ACTING:  # so may an actuator that lags, or is off
         return []
-    own = {output.name: output.unit for output in fit.model.outputs}
-    kinds = {"delay": "s", "bias": own[best.signal], "scale": "1", "clock": "1", "lever": "m"}
+    column = fit.model.output_names.index(best.signal)
+    late = MATERIAL * min(record.sample_time for record in fit.dataset)
+    # Units, and least sizes that matter: those of the equations between signals.
+    kinds = {
+        "delay": ("s", late),
+        "bias": (fit.model.outputs[column].unit, MATERIAL * float(fit.noise.sensors[column])),
+        "scale": ("1", NEGLIGIBLE),
+        "clock": ("1", late / max(record.duration for record in fit.dataset)),
+        "lever": ("m", 0.0),
+    }
     (one,) = (c for c in concerns_of(fit, "offset", *kinds) if c.size == best.size)
     kind = "bias" if one.kind == "offset" else one.kind
     if any(log.named(kind, name) for name in best.signals):
         return []
     says, _, fix = one.text.partition(". ")
+    unit, least = kinds[kind]
     finding = words.said(
         kind, best.signals, log.records, {"says": f"{says}.", "todo": fix}, row="departs",
-        size=best.size, interval=interval(best.size, best.std), unit=kinds[kind], gain=best.gain,
-        alternatives=best.rivals,
+        size=best.size, interval=interval(best.size, best.std), unit=unit, gain=best.gain,
+        alternatives=best.rivals, suspect=abs(best.size) > least,
     )  # fmt: skip
     return [finding]
 
