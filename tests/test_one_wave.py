@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import hilbert
 
 from oed_sysid import Dataset, Fit, Input, Model, MultipleShooting, Output, Parameter, Record, State
+from oed_sysid.compiled.filtering import FIRST_PAIR, FOURTH, SECOND_PAIR, rates
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.noise_model import Sea
 from oed_sysid.likelihood.realisation import forces_of_sea
@@ -105,6 +106,25 @@ def records(seed: int, *, one_wave: bool) -> Dataset:
 def fitted(seed: int, *, one_wave: bool) -> Fit:
     """The default fit."""
     return MultipleShooting().fit(MODEL, records(seed, one_wave=one_wave))
+
+
+@pytest.mark.parametrize("damping", [0.05, 0.15, 0.3])
+def test_both_parts_of_a_wave_are_a_quarter_apart_and_alike(damping: float) -> None:
+    """Their spectra from the rates: phase exact, amplitudes as the equation of the module says."""
+    a, together = rates(FOURTH, damping)
+    spread = -(a + a.T)  # of the noise, which enters one equation
+    drive = spread[:, np.argmax(np.diag(spread))]
+
+    def behind(w: float) -> complex:
+        one, other = together @ np.linalg.solve(1j * w * np.eye(4) - a, drive)
+        return complex(other / one)
+
+    middle = np.sqrt(FIRST_PAIR * SECOND_PAIR)
+    assert np.linalg.norm(together, axis=1) == pytest.approx([1.0, 1.0])
+    assert np.angle(behind(middle)) == pytest.approx(-np.pi / 2, abs=1e-9)
+    for r in (0.4, 0.7, 0.9, 1.2, 2.0):
+        expected = (3 * r + r**3) / (1 + 3 * r**2)
+        assert behind(r * middle) / behind(middle) == pytest.approx(expected, rel=1e-9)
 
 
 def test_one_wave_in_two_equations_is_named_with_its_phase() -> None:

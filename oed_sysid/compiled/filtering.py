@@ -50,13 +50,21 @@ period and damping the transition alone.
 *One wave in several equations* is one such process, of which each equation has a part by a standard
 deviation and a phase,
 
-.. math:: w_j = \sigma_j (\cos\varphi_j\, x_1 + \sin\varphi_j\, x_2) ,
+.. math:: w_j = \sigma_j (\cos\varphi_j\, y_1 + \sin\varphi_j\, y_2) ,
 
-where two reflections have put the mean of the force first, and second that of its quadrature, which
-is a quarter of a period behind it: the integral of a velocity, the rate of a displacement with its
-sign turned, and of fourth order the mean of both, whose spectrum is that of the force near its
-peak. A stationary process is independent of its rate at any one time, and so are their means over a
-step.
+where two reflections have put the mean of :math:`y_1` first, and second that of :math:`y_2`, which
+is a quarter of a period behind it at every frequency, and so independent of it at any one time: of
+second order the force, and the integral of a velocity or the rate of a displacement with its sign
+turned. Of fourth order both are made of derivatives of :math:`x_0`, the noise through the two
+pairs alone, with :math:`s = d/dt / \sqrt{\omega_1 \omega_2}`
+
+.. math:: y_1 \propto (3 s^2 - 1)\, x_0, \qquad y_2 \propto (3 s - s^3)\, x_0, \qquad
+    \left| \frac{y_2}{y_1} \right| = \frac{3 r + r^3}{1 + 3 r^2}
+    = 1 + \frac{(r - 1)^3}{1 + 3 r^2}, \quad r = \frac{\omega}{\sqrt{\omega_1 \omega_2}} :
+
+a phase is the same for all waves of the sea, and amplitudes differ by 2 % half as fast again. Where
+they differ by 8 %, as the integral and the rate of a force do, the response of a vehicle far from
+its own period is off by as much, and so is its stiffness.
 
 Without a compiler the same passes run on CasADi's interpreter (:class:`InterpretedFilter`): there
 every tangent is a matrix of its own, and nothing is sparse.
@@ -335,16 +343,16 @@ class Random:
 
 
 def rates(turn: int, damping: float) -> tuple[np.ndarray, np.ndarray]:
-    """The matrix ``A`` above for a unit frequency, and the quadrature of the force.
+    """The matrix ``A`` above for a unit frequency, and ``y`` of one wave in these states.
 
     Returns
     -------
-    ndarray (n_states, n_states), (n_states,)
+    ndarray (n_states, n_states), (2, n_states)
     """
     z = damping
     if turn != FOURTH:
         a = np.array([[z * (turn - 1), turn], [-turn, -z * (turn + 1)]])
-        return a, np.array([0.0, -turn])
+        return a, np.diag([1.0, -turn])
     # Velocity and displacement of the driven pair, then of the one that drives.
     w, v = SECOND_PAIR, FIRST_PAIR
     a = np.array(
@@ -358,22 +366,25 @@ def rates(turn: int, damping: float) -> tuple[np.ndarray, np.ndarray]:
     drive = np.diag([0.0, 0.0, 1.0, 0.0])
     # In coordinates of unit stationary covariance, as the two states of a second-order sea are.
     root = np.linalg.cholesky(solve_continuous_lyapunov(a, -drive))
-    # Of its integral and its rate one falls with frequency as the other rises.
-    quadrature = (np.array([0, 1 / w, 0, 0]) - a[0]) @ root
-    quadrature[0] = 0.0  # independent of the force, to rounding
-    return np.linalg.solve(root, a @ root), quadrature / np.linalg.norm(quadrature)
+    # The displacement is in proportion to the first derivative of what passes both pairs alone.
+    first, middle = np.array([0.0, 1.0, 0.0, 0.0]), np.sqrt(v * w)
+    second = first @ a / middle**2
+    behind = 3.0 * first / middle - second @ a / middle
+    together = np.array([3.0 * second - first @ np.linalg.inv(a), behind]) @ root
+    together /= np.linalg.norm(together, axis=1)[:, None]
+    return np.linalg.solve(root, a @ root), together
 
 
 @lru_cache(maxsize=256)
 def _modes(turn: int, damping: float) -> tuple[np.ndarray, ...]:
     """Eigenvalues of these rates, vectors and their inverse, noise and what acts in these modes."""
-    a, quadrature = rates(turn, damping)
+    a, together = rates(turn, damping)
     values, vectors = np.linalg.eig(a.astype(complex))
     inverse = np.linalg.inv(vectors)
     spread = -(a + a.T)  # of rank one, as noise enters one equation
     strongest = int(np.argmax(np.diag(spread)))
     drive = spread[:, strongest] / np.sqrt(spread[strongest, strongest])
-    acting = np.stack([np.eye(len(a))[0], quadrature]) @ vectors
+    acting = np.vstack([np.eye(len(a))[:1], together]) @ vectors
     return values, vectors, inverse, inverse @ drive, acting
 
 
@@ -412,7 +423,7 @@ def step_means(
     period: float,
     damping: float,
     turn: int,
-    quadrature: bool = False,
+    one_wave: bool = False,
     *,
     slopes: bool = True,
 ) -> np.ndarray:
@@ -424,16 +435,16 @@ def step_means(
         Of a step and of the one behind it, s.
     period, damping, turn
         As of :func:`narrow_band`.
-    quadrature : bool
-        Whether the mean of the quadrature comes second.
+    one_wave : bool
+        Whether the means of both ``y`` come first.
     slopes : bool
         Whether derivatives are wanted; zero without.
 
     Returns
     -------
     ndarray (n_lengths, 3, n, n)
-        In coordinates of unit stationary covariance, one more than there are states, two with the
-        quadrature; and derivatives by the logarithms of period and damping.
+        In coordinates of unit stationary covariance, one more than there are states, two of one
+        wave; and derivatives by the logarithms of period and damping.
 
     Examples
     --------
@@ -448,7 +459,7 @@ def step_means(
     def over(factors: np.ndarray, damping: float) -> np.ndarray:
         """Of angles times some factors, ``(n_factors, n_lengths, n, n)``."""
         every = factors[:, None, None] * angles
-        found = _with_mean(every.ravel(), damping, turn, quadrature)
+        found = _with_mean(every.ravel(), damping, turn, one_wave)
         stepped, turned = (one.reshape(*every.shape, *one.shape[1:]) for one in found)
         return np.asarray(np.swapaxes(turned[:, 1], 2, 3) @ stepped[:, 0] @ turned[:, 0])
 
@@ -466,12 +477,12 @@ _NODES, _WEIGHTS = 0.5 * np.array(np.polynomial.legendre.leggauss(10)) + [[0.5],
 
 
 def _with_mean(
-    angles: np.ndarray, damping: float, turn: int, quadrature: bool
+    angles: np.ndarray, damping: float, turn: int, one_wave: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     r"""Transition of :math:`(x, \nu)` over steps of some angles, and what puts the mean first."""
     values, vectors, inverse, push, acting = _modes(turn, damping)
     n, size = len(angles), len(values)
-    means = acting[: 1 + quadrature]
+    means = acting[1:] if one_wave else acting[:1]
     whole = size + len(means)
     # What a unit of noise that came some angle before the end has made of the states and the means:
     # their covariance is an integral of products, which loses nothing however short the step is.
@@ -489,7 +500,7 @@ def _with_mean(
     acting[:, :size] = np.swapaxes(let_expect, 1, 2)
     acting[:, size:] = rest
     turned = _reflection(acting[:, :, 0])
-    if quadrature:
+    if one_wave:
         inner = np.einsum("tij,ti->tj", turned, acting[:, :, 1])[:, 1:]
         turned[:, :, 1:] = turned[:, :, 1:] @ _reflection(inner)
     return stepped, turned

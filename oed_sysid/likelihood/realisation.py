@@ -95,7 +95,7 @@ def forces_of_sea(sea: Sea, times: np.ndarray, rng: np.random.Generator) -> np.n
     unit = np.eye(moves.shape[1])
     # In units of the stationary covariance, which is one: Q = I - Phi Phi'.
     roots = [np.linalg.cholesky(unit - phi @ phi.T) for phi in moves]
-    acting = np.stack([unit[0], rates(turn, 0.5 * sea.bandwidth)[1]], axis=1)
+    acting = rates(turn, 0.5 * sea.bandwidth)[1].T
 
     def wave() -> np.ndarray:
         draws = rng.standard_normal((len(times), len(unit)))
@@ -104,9 +104,9 @@ def forces_of_sea(sea: Sea, times: np.ndarray, rng: np.random.Generator) -> np.n
         for kind, fresh in zip(which, draws[1:], strict=True):
             state = moves[kind] @ state + roots[kind] @ fresh
             values.append(state)
-        return np.array(values) @ acting
+        return np.array(values)
 
-    together = np.zeros((len(times), 2)) if sea.phases is None else wave()
+    together = np.zeros((len(times), 2)) if sea.phases is None else wave() @ acting
     forces = dict.fromkeys(sea.places, np.zeros(len(times)))
     for place, level, phase in sea.processes:
         own = np.isnan(phase)
