@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,15 +12,22 @@ from scipy.integrate import solve_ivp
 from scipy.signal import hilbert
 
 from oed_sysid import Dataset, Fit, Input, Model, MultipleShooting, Output, Parameter, Record, State
-from oed_sysid.compiled.filtering import FIRST_PAIR, FOURTH, SECOND_PAIR, rates
+from oed_sysid.compiled.filtering import FIRST_PAIR, FOURTH, SEA_PHASE, SECOND_PAIR, rates
 from oed_sysid.errors import ModelError
-from oed_sysid.likelihood.noise_model import Sea
+from oed_sysid.likelihood.laws import posed_again
+from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.likelihood.realisation import forces_of_sea
 
 PERIOD = 8.0
 TRUE = {"Kp": 0.30, "Kb": 0.3, "Kd": 0.5, "Mq": 0.8, "Mb": 2.0, "Md": 0.8}
 # Standard deviations of the accelerations by waves, and by how much that in pitch is behind, rad.
 PUSH, BEHIND = np.array([0.05, 0.08]), 1.4
+# The same of runs against the swell and with it, and over which factor of its own frequency each
+# wave is met: 2.5 m/s in deep water.
+HEADINGS = {
+    "head": (np.array([0.02, 0.09]), 1.5, lambda w: w + 2.5 * w**2 / 9.81),
+    "following": (np.array([0.03, 0.07]), -1.8, lambda w: w - 2.5 * w**2 / 9.81),
+}
 UNITS = ("1/s", "1/s^2", "1/s^2")
 MODEL = Model(
     "rolls and pitches",
@@ -62,50 +71,126 @@ def elevation(rng: np.random.Generator) -> np.ndarray:
     return np.array([w, np.sqrt(2 * power / power.sum()), rng.uniform(0, 2 * np.pi, 80)])
 
 
+def recorded(
+    name: str,
+    rng: np.random.Generator,
+    halves: tuple[float, float],
+    seas: Sequence[np.ndarray],
+    push: np.ndarray = PUSH,
+    behind: float = BEHIND,
+) -> Record:
+    """One run with fins in squares of some half periods, an elevation of waves for each axis."""
+    times = 0.25 * np.arange(480)
+
+    def pushes(t: float) -> np.ndarray:
+        waves = [
+            size @ np.cos(w * t + start - late)
+            for (w, size, start), late in zip(seas, (0.0, behind), strict=True)
+        ]
+        return push * waves
+
+    def fins(t: float) -> list[float]:
+        return [0.2 if (t // half) % 2 < 1 else -0.2 for half in halves]
+
+    state, states = np.zeros(4), []
+    for begin in times:
+        states.append(state)
+        da, de = fins(begin)
+
+        def slope(t: float, x: np.ndarray, da: float = da, de: float = de) -> list[float]:
+            k, m = pushes(t)
+            p, q, phi, theta = x
+            return [
+                -TRUE["Kp"] * p - TRUE["Kb"] * phi + TRUE["Kd"] * da + k,
+                -TRUE["Mq"] * q - TRUE["Mb"] * theta + TRUE["Md"] * de + m,
+                p,
+                q,
+            ]
+
+        state = solve_ivp(slope, (begin, begin + 0.25), state, rtol=1e-6).y[:, -1]
+    noise = [4e-3, 4e-3, 3e-3, 3e-3] * rng.standard_normal((len(times), 4))
+    inputs = np.array([fins(t) for t in times])
+    return Record(name, times, inputs, states + noise, MODEL.channels)
+
+
 @cache
 def records(seed: int, *, one_wave: bool) -> Dataset:
-    """Two runs with fins in squares, and waves of one elevation or of one for each axis."""
+    """Two runs in waves of one elevation, or of one for each axis."""
     rng, found = np.random.default_rng(seed), []
-    times = 0.25 * np.arange(480)
-    for run, (first, second) in enumerate(((11.0, 7.0), (5.0, 9.0))):
+    for run, halves in enumerate(((11.0, 7.0), (5.0, 9.0))):
         seas = [elevation(rng)] * 2 if one_wave else [elevation(rng), elevation(rng)]
-
-        def pushes(t: float, seas: list[np.ndarray] = seas) -> np.ndarray:
-            waves = [
-                size @ np.cos(w * t + start - behind)
-                for (w, size, start), behind in zip(seas, (0.0, BEHIND), strict=True)
-            ]
-            return PUSH * waves
-
-        def fins(t: float, halves: tuple[float, float] = (first, second)) -> list[float]:
-            return [0.2 if (t // half) % 2 < 1 else -0.2 for half in halves]
-
-        state, states = np.zeros(4), []
-        for begin in times:
-            states.append(state)
-            da, de = fins(begin)
-
-            def slope(t: float, x: np.ndarray, da: float = da, de: float = de) -> list[float]:
-                k, m = pushes(t)
-                p, q, phi, theta = x
-                return [
-                    -TRUE["Kp"] * p - TRUE["Kb"] * phi + TRUE["Kd"] * da + k,
-                    -TRUE["Mq"] * q - TRUE["Mb"] * theta + TRUE["Md"] * de + m,
-                    p,
-                    q,
-                ]
-
-            state = solve_ivp(slope, (begin, begin + 0.25), state, rtol=1e-6).y[:, -1]
-        noise = [4e-3, 4e-3, 3e-3, 3e-3] * rng.standard_normal((len(times), 4))
-        inputs = np.array([fins(t) for t in times])
-        found.append(Record(f"run {run}", times, inputs, states + noise, MODEL.channels))
+        found.append(recorded(f"run {run}", rng, halves, seas))
     return Dataset(tuple(found))
+
+
+@cache
+def on_headings(seed: int) -> Fit:
+    """The default fit of two runs on reciprocal headings in one long-crested swell."""
+    rng, found = np.random.default_rng(seed), []
+    halves = ((11.0, 7.0), (5.0, 9.0))
+    for (name, (push, behind, met)), half in zip(HEADINGS.items(), halves, strict=True):
+        w, size, start = elevation(rng)
+        found.append(recorded(name, rng, half, [np.array([met(w), size, start])] * 2, push, behind))
+    return MultipleShooting().fit(MODEL, Dataset(tuple(found)))
 
 
 @cache
 def fitted(seed: int, *, one_wave: bool) -> Fit:
     """The default fit."""
     return MultipleShooting().fit(MODEL, records(seed, one_wave=one_wave))
+
+
+def test_records_on_reciprocal_headings_have_seas_of_their_own() -> None:
+    """Period of encounter, levels and phase are those of each heading, and values hold."""
+    fit = on_headings(1)
+    assert [sea.records for sea in fit.noise.seas] == [("head",), ("following",)]
+    for sea, (push, behind, met) in zip(fit.noise.seas, HEADINGS.values(), strict=True):
+        assert sea.period == pytest.approx(2 * np.pi / met(2 * np.pi / PERIOD), rel=0.1)
+        assert sea.level == pytest.approx(push, rel=0.4)
+        first, second = (sea.phases or {}).values()
+        assert np.exp(1j * (second - first)) == pytest.approx(np.exp(1j * behind), abs=0.1)
+    for name, value in TRUE.items():
+        assert abs(fit.values[name] - value) < 3.0 * fit.std_errors[name], name
+        assert fit.std_errors[name] < 0.02 * value, name
+    assert "forces on following have a period" in str(fit.report())
+    assert {"sea 1 period", "sea 2 force q phase"} <= set(fit.noise_std)
+
+
+def test_levels_of_seas_of_records_have_exact_slopes() -> None:
+    """Slopes of the likelihood by every level are its differences; none tells of the other run."""
+    problem, unknowns = posed_again(on_headings(1), levels=True)
+    passes = problem.passes(unknowns)
+    _, right = problem.gathered(unknowns, passes)
+    block = problem.layout.levels
+    for at, (kind, _) in enumerate(problem.levels.entries, start=block.start):
+        ends = []
+        step = 1e-4 if kind == SEA_PHASE else 1e-4 * max(abs(unknowns[at]), 1e-3)
+        for way in (1, -1):
+            moved = unknowns.copy()
+            moved[at] += way * step
+            ends.append(0.5 * sum(part.objective for part in problem.passes(moved, columns=False)))
+        slope = (ends[0] - ends[1]) / (2 * step)
+        assert -right[at] == pytest.approx(slope, rel=1e-3, abs=1e-3 / step * 1e-4), at
+    told = np.array([part.level_slope != 0 for part in passes])
+    of_sea = [name.startswith("sea ") for name in problem.levels.names]
+    assert not told[:, of_sea].all(axis=0).any()
+    assert told[:, of_sea].any(axis=0).all()
+
+
+def test_noise_of_seas_of_records_on_others_is_their_mean() -> None:
+    """A record meets its own sea; one that no sea knows, one of the mean of all."""
+    seas = tuple(
+        Sea(period, 0.2, {"K": level}, records=(name,))
+        for name, period, level in (("a", 6.0, 3.0), ("b", 1.5, 4.0))
+    )
+    noise = replace(NoiseModel.white_only(np.array([0.1])), seas=seas)
+    assert noise.on("b").seas == seas[1:]
+    assert noise.on("a", "b").seas == seas
+    (other,) = noise.on("c").seas
+    assert other.records == ("c",)
+    assert other.period == pytest.approx(3.0)
+    assert other.level == pytest.approx([np.sqrt(12.5)])
+    assert Sea.from_dict(seas[0].to_dict()) == seas[0]
 
 
 @pytest.mark.parametrize("damping", [0.05, 0.15, 0.3])
@@ -167,6 +252,8 @@ def test_phases_and_shares_are_given_for_every_place() -> None:
     levels = {"K": 2.0, "M": 0.5}
     with pytest.raises(ModelError, match="force M"):
         Sea(period=8.0, bandwidth=0.1, levels=levels, phases={"K": 0.0})
+    with pytest.raises(ModelError, match="which records"):
+        MultipleShooting(disturbances=Sea(period=8.0, records=("a",)))
     with pytest.raises(ModelError, match="and a phase"):
         Sea(period=8.0, bandwidth=0.1, levels=levels, coherence=levels)
 

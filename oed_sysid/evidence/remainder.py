@@ -295,7 +295,7 @@ def _strengths(noise: NoiseModel) -> Iterator[tuple[str, bool, float, float]]:
     for name, level, time in zip(noise.places, noise.force, noise.force_time, strict=True):
         if level > 0:
             yield name, False, float(level), float(time)
-    for sea in noise.seas:
+    for sea in noise.on().seas:  # of seas of single records their mean
         for name, level in (sea.levels or {}).items():
             if level > 0:
                 yield name, True, level, float(sea.period or np.nan)

@@ -83,7 +83,7 @@ def let_in(
         {name: value for name, value in near.values.items() if name in old.model.values}
     )
     held = old.levels.held().starting(noise)
-    problem = old.posed(replace(held, disturbances=noise.disturbed().disturbances), model=model)
+    problem = old.posed(replace(held, disturbances=noise.disturbances), model=model)
     return problem, problem.point(fit.initial, fit.local).unknowns
 
 

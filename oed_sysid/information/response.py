@@ -333,8 +333,8 @@ def expected_noise(
 
 def acting(model: Model, noise: NoiseModel) -> NoiseModel:
     """The same noise with the disturbances that act alone, at places that the model has."""
-    forces = noise.only(noise.force > 0)
-    seas = tuple(sea for sea in noise.seas if sea.acts)
+    forces = noise.only(noise.force > 0).on()
+    seas = tuple(sea for sea in forces.seas if sea.acts)
     chosen_places(model, [place for sea in seas for place in sea.places])
     places = tuple(place.name for place in chosen_places(model, forces.places))
     return replace(forces, places=places, seas=seas)

@@ -139,3 +139,5 @@ def check_disturbances(value: Any) -> None:
         )
     if sum(isinstance(one, Sea) for one in given) > 1:
         raise ModelError("One sea can be declared for an estimation. Name the one that dominates.")
+    if any(isinstance(one, Sea) and one.records for one in given):
+        raise ModelError("An estimation tells which records meet a sea of their own. Name none.")

@@ -103,6 +103,7 @@ class Filtered(Posed):
             getattr(self.limits, name)[self.layout.levels] = getattr(levels, name)
         if self.knowledge.information.any():  # what other records say holds these priors already
             self.limits.prior_weight[:n] = 0.0
+        self._met = self._levels_met()
         self.own = active_components(wide, model)
         both = active_components(wide, model, passing=True)
         commands = any(one.startswith(f"{DISTURBANCE}actuator_") for one in levels.disturbances)
@@ -247,6 +248,7 @@ class Filtered(Posed):
         names: Sequence[str] | None = None,
         measured: Sequence[np.ndarray] | None = None,
         beyond: Sequence[np.ndarray] | None = None,
+        instead_of: tuple[Sequence[FilterPass], int] | None = None,
     ) -> list[FilterPass]:
         """Filter every record.
 
@@ -269,16 +271,18 @@ class Filtered(Posed):
             Measurements in place of those of the records.
         beyond : sequence of ndarray, optional
             Largest squares of innovations, over their variances, that move anything.
+        instead_of : tuple, optional
+            Passes at a point of which one level, by its number, has moved: it leaves those of
+            records on which it does not act.
         """
         if not columns or levels_only:
             names = ()
         elif names is None:
             names = self.layout.free_names
-        noise = self.levels.disturbed(self.noise(unknowns))
-        wanted = {
+        noises, levels = self.disturbed(unknowns), columns and levels
+        wanted: dict[str, Any] = {
             "names": names,
             "own_columns": columns and not levels_only,
-            "levels": self.levels.entries if columns and levels else (),
             "rows": rows,
             "gains": gains,
             "moves": moves,
@@ -287,31 +291,49 @@ class Filtered(Posed):
         given = {"measured": measured, "beyond": beyond}
 
         def one(index: int) -> FilterPass:
-            own = {name: parts[index] for name, parts in given.items() if parts is not None}
-            return self._pass(unknowns, index, noise, wanted, own)
+            own: dict[str, Any] = {n: one[index] for n, one in given.items() if one is not None}
+            along = self._along(unknowns, index, noises[index])
+            along, (here, met) = replace(along, passing=self.passing, **own), self._met[index]
+            part = self.kernel.filter(along, levels=here.entries if levels else (), **wanted)
+            return _among_all(part, met, len(self.levels)) if levels else part
 
-        return both_cores(one, range(len(self.records)))
+        if instead_of is None:
+            return both_cores(one, range(len(self.records)))
+        found, moved = list(instead_of[0]), instead_of[1]
+        touched = [index for index, (_, met) in enumerate(self._met) if moved in met]
+        for index, part in zip(touched, both_cores(one, touched), strict=True):
+            found[index] = part
+        return found
 
-    def _pass(
-        self,
-        unknowns: np.ndarray,
-        index: int,
-        noise: Disturbed,
-        wanted: Mapping[str, Any],
-        given: Mapping[str, Any],
-    ) -> FilterPass:
-        """Filter one record, with other measurements or limits of innovations where given."""
-        along = replace(self._along(unknowns, index, noise), passing=self.passing, **given)
-        part = self.kernel.filter(along, **wanted)
-        independent = self.records[index].independent
-        return _white_alone(part, self.levels.entries) if independent else part
+    def _levels_met(self) -> list[tuple[Levels, np.ndarray]]:
+        """Levels that act on each record, and their positions among all."""
+        of_sea = {name: self.levels.on(name) for name in self.dataset.names}
+        found = []
+        for record in self.records:
+            here, met = of_sea[record.name]
+            if record.independent:  # nothing links its samples
+                told = np.array([kind == WHITE_VARIANCE for kind, _ in here.entries], dtype=bool)
+                here, met = here.only(told), met[told]
+            found.append((here, met))
+        return found
+
+    def disturbed(self, unknowns: np.ndarray) -> list[Disturbed]:
+        """What is random along each record at a point; one object where it is the same."""
+        noise = self.noise(unknowns)
+        every = self.levels.disturbed(noise)
+        along = []
+        for record in self.records:
+            here = noise.on(record.name)
+            own = every if here is noise else self.levels.disturbed(here)
+            if record.independent:
+                nothing = np.zeros_like(own.variance), np.zeros_like(own.colour_variance)
+                own = replace(own, variance=nothing[0], colour_variance=nothing[1])
+            along.append(own)
+        return along
 
     def _along(self, unknowns: np.ndarray, index: int, noise: Disturbed) -> Along:
         """One record, with the model and the noise along it."""
         record = self.records[index]
-        if record.independent:  # nothing links its samples
-            nothing = np.zeros_like(noise.variance), np.zeros_like(noise.colour_variance)
-            noise = replace(noise, variance=nothing[0], colour_variance=nothing[1])
         return Along(
             record.times,
             record.inputs,
@@ -345,12 +367,12 @@ class Filtered(Posed):
         list of ndarray (n_times, n_outputs) or None
             Per record; None where the larger model diverges.
         """
-        noise = wide.levels.disturbed(wide.noise(unknowns))
+        noises = wide.disturbed(unknowns)
 
         def one(index: int) -> tuple[np.ndarray, bool]:
             gains, hold = found[index].gains, self.longest_hold
             assert gains is not None
-            along = wide._along(unknowns, index, noise)
+            along = wide._along(unknowns, index, noises[index])
             step = step_within(along.times, hold)
             along = replace(along, active=self.active, longest_step=step)
             return wide.kernel.replay(along, gains)
@@ -452,7 +474,7 @@ class Filtered(Posed):
         By unknown and record; each is moved by one standard deviation, others known: a smaller
         step says no more of a smooth model, and drowns in rounding that an unstable one amplifies.
         """
-        noise = self.levels.disturbed(self.noise(unknowns))
+        noises = self.disturbed(unknowns)
         jobs = [
             (int(column), index)
             for index, columns in enumerate(self._columns)
@@ -463,7 +485,7 @@ class Filtered(Posed):
             column, index = job
             shifted = unknowns.copy()
             shifted[column] += std[column]
-            along, gains = self._along(shifted, index, noise), base[index].gains
+            along, gains = self._along(shifted, index, noises[index]), base[index].gains
             assert gains is not None
             whole = self.kernel.filter(replace(along, passing=self.passing), own_columns=False)
             frozen, _ = self.kernel.replay(along, gains)
@@ -472,26 +494,21 @@ class Filtered(Posed):
         return dict(zip(jobs, both_cores(one, jobs), strict=True))
 
 
-def _white_alone(part: FilterPass, entries: Sequence[tuple[int, int]]) -> FilterPass:
-    """A pass that tells nothing of levels but those of white noise."""
-    n_levels = len(part.level_slope)
-    absent = np.array([kind != WHITE_VARIANCE for kind, _ in entries[:n_levels]], dtype=bool)
-    if not absent.any():
+def _among_all(part: FilterPass, met: np.ndarray, n_levels: int) -> FilterPass:
+    """A pass with derivatives by some levels, as one that tells nothing of all others."""
+    if len(met) == n_levels:
         return part
     # The last row of the Gram matrix is that of the innovations themselves.
-    gone = len(part.gram) - 1 - n_levels + np.flatnonzero(absent)
-    gram, rows = part.gram.copy(), part.rows
-    gram[gone] = gram[:, gone] = 0.0
+    begin, whole = len(part.gram) - 1 - len(met), len(part.gram) - 1 - len(met) + n_levels
+    where = np.array([*range(begin), *(begin + met), whole], dtype=int)
+    gram, slope = np.zeros((whole + 1, whole + 1)), np.zeros(n_levels)
+    information, rows = np.zeros((n_levels, n_levels)), part.rows
+    gram[np.ix_(where, where)], slope[met] = part.gram, part.level_slope
+    information[np.ix_(met, met)] = part.level_information
     if rows is not None:
-        rows = rows.copy()
-        rows[..., gone] = rows[..., gone + n_levels] = 0.0
-    return replace(
-        part,
-        gram=gram,
-        rows=rows,
-        level_slope=np.where(absent, 0.0, part.level_slope),
-        level_information=part.level_information * np.outer(~absent, ~absent),
-    )
+        rows = np.zeros((*rows.shape[:2], whole + n_levels))
+        rows[..., [*where[:-1], *(whole + met)]] = part.rows
+    return replace(part, gram=gram, rows=rows, level_slope=slope, level_information=information)
 
 
 def disturbed_model(model: Model, disturbances: Sequence[str]) -> Model:

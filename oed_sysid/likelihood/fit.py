@@ -561,15 +561,16 @@ class Fit(estimate.Estimate):
         for number, sea in enumerate(self.noise.seas, 1):
             label = f"sea {number}" if len(self.noise.seas) > 1 else "sea"
             period, width = float(sea.period or 0.0), 100.0 * float(sea.bandwidth or 0.0)
+            where = f" on {', '.join(sea.records)}" if sea.records else ""
             words = (
-                "Disturbance forces have a period, as waves give them (or motion that the model "
-                f"lacks): {told(f'{label} period', period)} s, "
+                f"Disturbance forces{where} have a period, as waves give them (or motion that the "
+                f"model lacks): {told(f'{label} period', period)} s, "
                 f"{told(f'{label} bandwidth', width, 2)} % wide (95 %)"
                 f"{'' if sea.shape == 'velocity' else ', with a tail at low frequencies'}."
             )
             head: tuple[str, ...] = ("waves", "significant amplitude", "unit")
             rows: list[tuple[str, ...]] = [
-                (p, told(f"sea {p} level", one) if one > 0 else "absent", units.get(p, ""))
+                (p, told(f"{label} {p} level", one) if one > 0 else "absent", units.get(p, ""))
                 for p, one in sea.significant.items()
             ]
             if sea.phases is not None:

@@ -52,6 +52,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from oed_sysid.compiled.filtering import FilterPass
 from oed_sysid.compiled.kernels import Blocks
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.filtered import Filtered
@@ -281,13 +282,13 @@ def restricted(problem: Filtered, point: Point) -> Iterate:
     """Evaluate a point by the restricted likelihood, with the gradient of the filter as it is."""
     unknowns, levels = point.unknowns, problem.layout.levels
 
-    def told(at: np.ndarray) -> tuple[float, float]:
-        found = problem.passes(at, levels=False)
+    def told(at: np.ndarray, found: Sequence[FilterPass]) -> tuple[float, float]:
         own, matrix = 0.5 * sum(part.objective for part in found), problem.gathered(at, found)[0]
         finite = np.isfinite(own) and np.isfinite(matrix).all()
         return own, absorbed(problem, matrix) if finite else np.inf
 
-    own, known = told(unknowns)
+    passes = problem.passes(unknowns, levels=False)
+    own, known = told(unknowns, passes)
     cost = own + problem.prior_cost(unknowns) + known
     if not np.isfinite(cost):
         return nowhere(problem, point)
@@ -301,7 +302,8 @@ def restricted(problem: Filtered, point: Point) -> Iterate:
         for index in range(levels.start, levels.stop):
             moved = unknowns.copy()
             moved[index] += lengths[index]
-            slope = (told(moved)[1] - known) / lengths[index]
+            there = problem.passes(moved, levels=False, instead_of=(passes, index - levels.start))
+            slope = (told(moved, there)[1] - known) / lengths[index]
             right[index] -= slope if np.isfinite(slope) else 0.0  # where it diverges, none
         return matrix, right
 

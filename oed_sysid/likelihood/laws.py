@@ -138,7 +138,7 @@ def posed_again(
     fit: Estimate, known_starts: KnownStarts | None = None, *, levels: bool = False
 ) -> tuple[Filtered, np.ndarray]:
     """The likelihood of a fit, and the unknowns at its end; its noise ``levels`` may be unknown."""
-    noise = fit.noise
+    noise = fit.noise.on(*fit.dataset.names)
     # The filter with which the fit was made, so that it need not be compiled again.
     setting = Setting(
         fit.model,

@@ -85,6 +85,9 @@ class Sea:
     height, direction : float, optional
         Where the levels are those of a swell: its significant height, m, and from where it comes,
         clockwise from the bow when a run begins, rad.
+    records : sequence of str, optional
+        Those that meet it, where records on other headings meet other seas, as an estimation may
+        find. Without, all do.
 
     Examples
     --------
@@ -101,12 +104,15 @@ class Sea:
     coherence: Mapping[str, float] | None = None
     height: float | None = None
     direction: float | None = None
+    records: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         for name in ("levels", "phases", "coherence"):
             if (given := getattr(self, name)) is not None:
                 named = {k if " " in k else f"force {k}": float(v) for k, v in given.items()}
                 object.__setattr__(self, name, named)
+        if self.records is not None:
+            object.__setattr__(self, "records", tuple(self.records))
         if self.levels is not None:
             object.__setattr__(self, "shape", "jonswap" if self.shape is None else self.shape)
         for right, words in self._faults():
@@ -229,6 +235,7 @@ class Sea:
             "significant": self.significant,
             **{n: dict(v) for n in ("phases", "coherence") if (v := getattr(self, n)) is not None},
             **{n: v for n in ("height", "direction") if (v := getattr(self, n)) is not None},
+            **({} if self.records is None else {"records": [*self.records]}),
         }
 
     @classmethod
@@ -294,6 +301,28 @@ class NoiseModel:
         """
         white = np.asarray(white, dtype=float)
         return cls(white, np.zeros_like(white), np.zeros(0), outputs=tuple(outputs))
+
+    def on(self, *records: str) -> NoiseModel:
+        """The noise on some records: of seas that each meets its own, those that these meet.
+
+        A record that none of them knows meets one of its own: of the levels, periods and widths
+        that they have in the mean, and of phases that nothing tells.
+        """
+        if all(sea.records is None for sea in self.seas):
+            return self
+        known = {name for sea in self.seas for name in sea.records or ()}
+        if records and {*records} <= known:
+            met = (s for s in self.seas if s.records is None or {*records} & {*s.records})
+            return replace(self, seas=tuple(met))
+        periods, damping = _shapes_of(self.seas)
+        levels = np.sqrt(np.mean([sea.level**2 for sea in self.seas], axis=0))
+        usual = replace(
+            self.seas[0].with_levels(levels),
+            period=_middle(periods), bandwidth=2.0 * float(np.mean(damping)),
+            phases=None, coherence=None,
+        )  # fmt: skip
+        each = (replace(usual, records=(name,)) for name in records)
+        return replace(self, seas=tuple(each) or (replace(usual, records=None),))
 
     @property
     def has_colour(self) -> bool:
@@ -393,6 +422,12 @@ class NoiseModel:
             each(-1, *range(len(self.seas))),
             np.append(np.full(count, np.nan), phase),
         )
+
+    @property
+    def disturbances(self) -> tuple[str, ...]:
+        """Parameters of the filtered model that are random on a record, as a pass has them."""
+        first = self.on(*(self.seas[0].records or ())[:1]) if self.seas else self
+        return disturbance_names((*self.places, *_processes(first.seas)[0]))
 
     @property
     def longest_hold(self) -> float:
@@ -574,7 +609,7 @@ class Levels:
         add(WHITE_VARIANCE, np.flatnonzero(white), unit.white, floor)
         add(COLOUR_VARIANCE, np.flatnonzero(of_colour), unit.colour[coloured], least**2, most**2)
         add_times(COLOUR_TIME, of_colour & ~is_zero, lasting)
-        at_sea, _, phases = _processes(noise.seas)
+        _, _, phases = _processes(noise.seas)
         _, sizes, _ = _processes(unit.seas)
         counts, parts = [len(sea.processes) for sea in noise.seas], np.isfinite(phases)
         unknown = np.repeat([sea.levels is None for sea in known], counts).astype(bool)
@@ -593,8 +628,7 @@ class Levels:
         add(SEA_DAMPING, np.flatnonzero(free), damping, *np.log(DAMPING))
         table = np.array(rows, dtype=float).reshape(-1, 7).T
         entries = tuple(zip(*table[:2].astype(int).tolist(), strict=True))
-        names = disturbance_names((*noise.places, *at_sea))
-        return cls(noise, unit, entries, coloured, names, *table[2:])
+        return cls(noise, unit, entries, coloured, noise.disturbances, *table[2:])
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -716,8 +750,20 @@ class Levels:
                 after[i] = np.exp(longer) * max(after[i] - vector[i] * longer, 0.1 * vector[i])
         return after
 
+    def on(self, record: str) -> tuple[Levels, np.ndarray]:
+        """Levels that act on one record, and their positions among all."""
+        seas, noise = self.noise.seas, self.noise.on(record)
+        met = np.array([sea in noise.seas for sea in seas], dtype=bool)
+        process = np.repeat(met, [len(sea.processes) for sea in seas])
+        among = {SEA_PERIOD: met, SEA_DAMPING: met, SEA_VARIANCE: process, SEA_PHASE: process}
+        keep = np.array([k not in among or among[k][i] for k, i in self.entries], dtype=bool)
+        here = self.only(keep)
+        # Counted among those that act there.
+        entries = ((k, int(among[k][:i].sum()) if k in among else i) for k, i in here.entries)
+        return replace(here, noise=noise, entries=tuple(entries)), np.flatnonzero(keep)
+
     def disturbed(self, noise: NoiseModel) -> Disturbed:
-        """What the filter takes."""
+        """What the filter takes, of a noise model on one record."""
         return replace(noise.disturbed(self.coloured), disturbances=self.disturbances)
 
     @property
@@ -727,8 +773,8 @@ class Levels:
         colours = tuple(f"colour of {noise.outputs[column]}" for column in self.coloured)
         seas = [f"sea {i + 1}" if len(noise.seas) > 1 else "sea" for i in range(len(noise.seas))]
         at_sea = [
-            f"sea {place}{' besides' if sea.phases and np.isnan(phase) else ''}"
-            for sea in noise.seas
+            f"{label} {place}{' besides' if sea.phases and np.isnan(phase) else ''}"
+            for label, sea in zip(seas, noise.seas, strict=True)
             for place, _, phase in sea.processes
         ]
         of = {

@@ -31,7 +31,7 @@ from functools import cache, partial
 from itertools import compress
 
 import numpy as np
-from scipy.special import chdtrc, comb
+from scipy.special import chdtrc, chdtri, comb
 
 from oed_sysid.compiled.filtering import FORCE_VARIANCE
 from oed_sysid.data.record import Record
@@ -537,47 +537,68 @@ def beside_a_sea(found: FilteredSolution, setting: Setting) -> Filtered | None:
     """Forces of first order beside a sea."""
     sample = min(record.sample_time for record in found.problem.records)
     rest = [place for place in setting.at_sea if place not in found.noise.places]
-    return _joined(found, setting, rest, [count * sample for count in TIMES], [Sea()])
+    times, known = [count * sample for count in TIMES], [Sea()] * len(found.noise.seas)
+    return _joined(found, setting, rest, times, known)
 
 
 def one_wave(found: FilteredSolution, setting: Setting) -> Filtered | None:
-    """One wave that pushes all places of a sea, and what each has besides.
-
-    Of the forces that must have acted the coherence of two places and the phase between them are
-    told by the strongest eigenvector of their correlations, as analytic signals.
-    """
-    from scipy.signal import hilbert  # takes a third of a second
-
+    """One wave that pushes all places of a sea, and what each has besides."""
     seas = found.noise.seas
     if len(seas) != 1 or seas[0].phases is not None or np.sum(seas[0].level > 0) < 2:
         return None
-    sea = seas[0].only(seas[0].level > 0)
+    return _waves(found, setting)
+
+
+def _waves(found: FilteredSolution, setting: Setting, *, of_each_record: bool = False) -> Filtered:
+    """A sea of one wave where it pushes several places, begun at forces that must have acted.
+
+    Of these the coherence of two places and the phase between them are told by the strongest
+    eigenvector of their correlations, as analytic signals. A sea of each record has levels in
+    proportion to their size there.
+    """
+    from scipy.signal import hilbert  # takes a third of a second
+
+    (whole,) = found.noise.seas
+    sea, first = whole.only(whole.level > 0), len(found.noise.places)
     passes, paths = smoothable(found.problem, found.point.unknowns)
-    columns = [len(found.noise.places) + seas[0].places.index(place) for place in sea.places]
-    products = np.zeros((len(columns),) * 2, dtype=complex)
+    # A wave and what a place has besides add up.
+    processes = np.array([place for place, *_ in whole.processes])
+    of_place, products = processes[:, None] == sea.places, []
     for part, path in zip(passes, paths, strict=True):
-        forces = hilbert(path.disturbances(part.innovations[:, :, None])[:, columns, 0], axis=0)
-        products += forces.T @ forces.conj()
-    size = np.sqrt(np.diag(products).real)
+        acting = path.disturbances(part.innovations[:, :, None])[:, first:, 0]
+        forces = hilbert(acting[:, : len(processes)] @ of_place, axis=0)
+        products.append(forces.T @ forces.conj() / len(forces))
+    usual, seas = np.mean(products, axis=0), []
+    names = [(record.name,) for record in found.problem.records]
+    for met, product in zip(names, products, strict=True) if of_each_record else [(None, usual)]:
+        size, mean = (np.diag(one).real for one in (product, usual))
+        share = np.sqrt(np.divide(size, mean, out=np.ones_like(size), where=mean > 0))
+        own = replace(sea.with_levels(sea.level * share), records=met)
+        seas.append(_in_phase(own, product) if len(sea.places) > 1 else own)
+    noise = replace(found.noise, seas=tuple(seas))
+    return posed(found, setting, noise, own_times=_own_times(found, noise))
+
+
+def _in_phase(sea: Sea, product: np.ndarray) -> Sea:
+    """One wave in all places, of the phases and shares that products of analytic forces tell."""
+    size = np.sqrt(np.diag(product).real)
     size[size == 0.0] = 1.0  # nothing shows it
-    strengths, vectors = np.linalg.eigh(products / np.outer(size, size))
+    strengths, vectors = np.linalg.eigh(product / np.outer(size, size))
     common = vectors[:, -1] * np.exp(-1j * np.angle(vectors[0, -1]))
     share = np.minimum(np.sqrt(strengths[-1]) * np.abs(common), 1.0)
-    wave = replace(
+    return replace(
         sea,
         phases=dict(zip(sea.places, -np.angle(common), strict=True)),
         coherence=dict(zip(sea.places, share, strict=True)),
     )
-    noise = replace(found.noise, seas=(wave,))
-    return posed(found, setting, noise, own_times=_own_times(found, noise))
 
 
 def without_tails(found: FilteredSolution, setting: Setting) -> Filtered | None:
-    """One wave of the shape of which the quadrature, too, has no tail at low frequencies."""
-    (sea,), known = found.noise.seas, setting.sea
-    if sea.phases is None or sea.shape == "jonswap" or (known and known.shape):
+    """Waves of the shape both parts of which have least of a tail at low frequencies."""
+    seas, known = found.noise.seas, setting.sea
+    if seas[0].phases is None or seas[0].shape == "jonswap" or (known and known.shape):
         return None
-    noise = replace(found.noise, seas=(replace(sea, shape="jonswap"),))
+    noise = replace(found.noise, seas=tuple(replace(one, shape="jonswap") for one in seas))
     return posed(found, setting, noise, own_times=_own_times(found, noise))
 
 
@@ -676,8 +697,28 @@ def with_sea(
         return found
     if not setting.seas and not _clearly_a_sea(sea, found, setting):
         return found
-    together = admitted(sea, setting, {one_wave: 2.0 * WORTH, without_tails: 0.0})
+    together = _of_each_record(admitted(sea, setting, {one_wave: 2.0 * WORTH}), setting)
+    together = admitted(together, setting, {without_tails: 0.0})
     return together if setting.seas else admitted(together, setting, {beside_a_sea: WORTH})
+
+
+def _of_each_record(found: FilteredSolution, setting: Setting) -> FilteredSolution:
+    """A sea of its own for every record, where they are likelier than so many unknowns by chance.
+
+    On other headings waves are met with another period, and push by other levels and phases.
+    """
+    records, known = found.problem.records, setting.sea
+    told = known is not None and known.levels is not None
+    if told or len(records) < 2 or any(record.independent for record in records):
+        return found
+    problem = _waves(found, setting, of_each_record=True)
+    least = float(chdtri(len(problem.levels) - len(found.problem.levels), CHANCE))
+    begin = moved(found, problem, 0)
+    if _fall(found, begin) + 2.0 * begin.promise < least:
+        return found
+    again = moved(found, problem, setting.max_iterations)
+    broad = any(sea.is_broad for sea in again.noise.seas)  # too few waves of a record tell one
+    return found if broad or _fall(found, again) < least else again
 
 
 def _clearly_a_sea(sea: FilteredSolution, found: FilteredSolution, setting: Setting) -> bool:

@@ -144,7 +144,7 @@ def at_sea(
         and other disturbances (``sensor q``).
     rng : numpy.random.Generator
     """
-    times = experiment.times
+    times, noise = experiment.times, noise.on(experiment.name)
     held = noise.longest_step(times)
     if held is not None:
         count = int(np.ceil(float(np.max(np.diff(times))) / held - 1e-6))

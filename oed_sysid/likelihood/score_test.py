@@ -213,10 +213,12 @@ class Setting:
 
         Of its ``seas`` those declared are known as far as declared, unless others are given.
         """
+        noise = noise.on(*dataset.names)
         colour = noise.colour > 0 if colour is None else colour
         own_times = noise.has_own_times if own_times is None else own_times
         if seas is None:
-            seas = self.seas or [Sea()] * len(noise.seas)
+            declared = tuple(self.seas) or (Sea(),)
+            seas = (*declared, *declared[:1] * len(noise.seas))  # every record's own is known alike
         remembers = colour & np.isfinite(noise.colour_time)
         known = {place: level for sea in unit.seas for place, level in (sea.levels or {}).items()}
         known |= dict(zip(unit.places, unit.force, strict=True))

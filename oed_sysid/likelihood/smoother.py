@@ -325,5 +325,5 @@ def smoothable(
             f"Model {problem.model.name!r} diverges although a force may act in every equation. "
             "Cut the record, or bound the parameters."
         )
-    noise = problem.levels.disturbed(problem.noise(unknowns))
+    noise = problem.disturbed(unknowns)[0]
     return passes, tuple(Path.of(part, len(noise.coloured), noise.n_second) for part in passes)

@@ -216,7 +216,7 @@ class WholeRun:
         """
         shooting, record = self.shooting, self.record
         model = shooting.model
-        forces = [drawn_disturbances(noise, record.times, rng) for _ in unknowns]
+        forces = [drawn_disturbances(noise.on(record.name), record.times, rng) for _ in unknowns]
         vehicle = with_disturbance_inputs(model, chosen_places(model, list(forces[0])))
         # The same commands under every draw; forces stand beside them as further inputs.
         calm = np.broadcast_to(record.inputs, (len(unknowns), *record.inputs.shape))
