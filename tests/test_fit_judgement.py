@@ -443,14 +443,14 @@ def test_departures_are_asked_beside_process_noise() -> None:
     right = steered_ship.two(1)
     fit = MultipleShooting().fit(steered_ship.YAW, right)
     assert fit.noise.has_forces
-    assert not {"delay", "offset", "scale"} & kinds(fit)
+    assert not {"delay", "offset", "zero", "scale"} & kinds(fit)
     for one in departures_beside(fit):
         apart = {"late": 0.01, "slow": 0.01 / right[0].duration}.get(one.kind, 0.0)
         assert abs(one.size) < 3.0 * one.std + apart
     off = changed(right, lambda record: record.outputs + np.array([0.0, 0.004]))
     fit = MultipleShooting().fit(steered_ship.YAW, off)
     assert fit.noise.has_forces
-    (found,) = (one for one in fit.concerns if one.kind == "offset")
+    (found,) = (one for one in fit.concerns if one.kind == "zero")
     assert found.signal == "r"
     assert found.size == pytest.approx(0.004, rel=0.1)
 
@@ -625,7 +625,7 @@ def test_every_kind_of_concern_is_a_row_and_is_documented() -> None:
     for kind in kinds:
         assert f"``{kind}``" in Concern.__doc__
         assert SAYS[kind]
-    assert set(SAYS) - set(kinds) == {"excluded", "unexplained", "zero"}
+    assert set(SAYS) - set(kinds) == {"excluded", "unexplained"}
     assert kinds[: len(FATAL)] == list(FATAL)
 
 

@@ -73,7 +73,11 @@ def test_zeros_are_estimated_with_everything_else() -> None:
     ratios = fit.noise.zeros / (3.0 * STD)
     assert np.all((ratios > 0.5) & (ratios < 2.0))
     assert fit.noise.force.max() < 0.02 * PUSH
-    said = {one.signal: one.size for one in fit.concerns if one.kind in ("offset", "noise_level")}
+    said = {
+        one.signal: one.size
+        for one in fit.concerns
+        if one.kind in ("offset", "zero", "noise_level")
+    }
     # Of p -3 and 3 deviations in the two runs, of phi 3 in both.
     assert said["phi"] == pytest.approx(3.0 * STD[1], rel=0.1)
     assert said["p"] == pytest.approx(0.0, abs=0.3 * STD[0])

@@ -300,7 +300,7 @@ def with_estimates(
     for one in input_factors(fit, begun):
         row = {"says": one.text, "name": one.channel.name}
         findings.append(words.said("input_factor", (one.channel.name,), log.records, row))
-    findings += [*_far(fit, log.records), *_departing(log, fit)]
+    findings += [*_far(fit, log.records), *_departing(log, fit), *_zeros(log, fit)]
     findings += [*scaled_inputs(fit), *between_runs(fit)]
     return replace(log, findings=tuple(_ordered(findings)))
 
@@ -416,6 +416,21 @@ def _departing(log: LogCheck, fit: Fit) -> list[Finding]:
         alternatives=best.rivals, suspect=abs(best.size) > least,
     )  # fmt: skip
     return [finding]
+
+
+def _zeros(log: LogCheck, fit: Fit) -> Iterator[Finding]:
+    """Sensors that a fit estimates to be off, unless the equations between signals have said so."""
+    if not fit.noise.zeros.any():
+        return
+    unit = {output.name: output.unit for output in fit.model.outputs}
+    for one in concerns_of(fit, "zero"):
+        if not log.named("bias", one.signal):
+            says, _, fix = one.text.partition(". ")
+            row = {"says": f"{says}.", "todo": fix}
+            yield words.said(
+                "bias", (one.signal,), log.records, row, row="zero",
+                size=one.size, unit=unit[one.signal],
+            )  # fmt: skip
 
 
 def _equations(

@@ -132,7 +132,7 @@ class Concern:
     ----------
     kind : str
         ``noise_level``, ``autocorrelation``, ``narrow_band``, ``spikes``, ``delay``, ``offset``,
-        ``scale``, ``clock``, ``lever``, ``actuator_start``, ``per_record_follows``,
+        ``zero``, ``scale``, ``clock``, ``lever``, ``actuator_start``, ``per_record_follows``,
         ``records_differ``, ``input_noise``, ``input_factor``, ``absorbed``, ``process_noise``,
         ``constraint``, ``integration``, ``finer_step``, ``runaway``, ``degenerate`` or
         ``few_samples``.
@@ -143,9 +143,9 @@ class Concern:
     size : float
         A factor of the level (``noise_level``, ``absorbed``), the share of independent samples
         (``autocorrelation``), a number of samples (``spikes``), seconds (``delay``,
-        ``narrow_band``), m (``lever``), the unit of the signal (``offset``, ``actuator_start``), a
-        share (``scale``, ``clock``), a correlation (``per_record_follows``), a factor of the
-        standard error (``records_differ``), the true input over the logged one
+        ``narrow_band``), m (``lever``), the unit of the signal (``offset``, ``zero``,
+        ``actuator_start``), a share (``scale``, ``clock``), a correlation (``per_record_follows``),
+        a factor of the standard error (``records_differ``), the true input over the logged one
         (``input_factor``), noise levels (``integration``, ``input_noise``), multiples of the scale
         (``runaway``) or of the signal (``degenerate``), samples per unknown (``few_samples``),
         standard errors (``constraint``, ``finer_step``), the score test's 2 delta ln L
@@ -376,7 +376,7 @@ def _zeros(fit: Estimate) -> Iterator[Found]:
         span = dict.fromkeys(f"{factor * one:.3g}" for one in (own.min(), own.max()))
         facts = {"span": " to ".join(span), "unit": unit}
         name = fit.model.output_names[column]
-        yield Found(float(own.mean()), name, facts=facts, row="zero")
+        yield Found(float(own.mean()), name, facts=facts)
 
 
 def _autocorrelations(fit: Estimate) -> Iterator[Found]:
@@ -845,7 +845,7 @@ CHECKS: tuple[tuple[str, Callable[[Estimate], Iterable[Found]]], ...] = (
     ("spikes", _spikes),
     ("delay", partial(_departure, ("late", "acts late"))),
     ("offset", partial(_departure, ("off", "acts off"))),
-    ("offset", _zeros),
+    ("zero", _zeros),
     ("scale", partial(_departure, ("scale",))),
     ("clock", partial(_departure, ("slow",))),
     ("lever", partial(_departure, tuple(LEVERS))),
