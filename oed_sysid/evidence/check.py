@@ -63,6 +63,7 @@ from oed_sysid.evidence.traces import Trace, units_of
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.departures import ACTING
+from oed_sysid.likelihood.estimate import Departure
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.judgement import concerns_of, departure_of
@@ -391,9 +392,14 @@ def _far(fit: Fit, records: tuple[str, ...]) -> list[Finding]:
 
 def _departing(log: LogCheck, fit: Fit) -> list[Finding]:
     """The departure of sensors that a fit names, unless the equations between signals have."""
-    best = departure_of(fit) if fit.status.ok or fit.status.code == "degenerate" else None
-    if best is None or best.kind in ACTING:  # so may an actuator that lags, or is off
-        return []
+    ended = fit.status.ok or fit.status.code == "degenerate"
+    best = departure_of(fit) if ended else None
+    # So may an actuator that lags, or is off.
+    return [] if best is None or best.kind in ACTING else _departed(log, fit, best)
+
+
+def _departed(log: LogCheck, fit: Fit, best: Departure) -> list[Finding]:
+    """The finding of a departure; none where that of the equations says it."""
     column = fit.model.output_names.index(best.signal)
     late = MATERIAL * min(record.sample_time for record in fit.dataset)
     # Units, and least sizes that matter: those of the equations between signals.

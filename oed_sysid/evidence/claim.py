@@ -208,8 +208,13 @@ def _asked(
         models=tuple(zip([fit.objective for fit in fits], told or (None, None), strict=True)),
         spared=spared,
     )
-    if not found.excess > 0.0:
-        return found
+    return _bounded(study, after, effects, found) if found.excess > 0.0 else found
+
+
+def _bounded(
+    study: Study, after: FilteredSolution, effects: Sequence[Effect], found: Claim
+) -> Claim:
+    """A claim with the bounds at which its effects end."""
     # An optimum at infinity, such as the lag of a sensor that stands still, is no size.
     large = _amplitudes(after, effects, _runs_away)
     if endless := tuple(name for name in large if not _is_shown(after, name)):

@@ -15,6 +15,7 @@ from oed_sysid.likelihood import archive, estimate, judgement, prediction
 from oed_sysid.likelihood.departures import CLEARLY
 from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.laws import Law, laws_of, unresolved
+from oed_sysid.likelihood.noise_model import Sea
 from oed_sysid.likelihood.whole_runs import WholeRuns, judged_runs
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.runtime.constants import NEGLIGIBLE
@@ -552,35 +553,35 @@ class Fit(estimate.Estimate):
 
     def _seas(self, units: Mapping[str, str]) -> list[Section]:
         """Period, width and significant level of every sea."""
+        seas, many = self.noise.seas, len(self.noise.seas) > 1
+        return [
+            self._sea(f"sea {i}" if many else "sea", one, units) for i, one in enumerate(seas, 1)
+        ]
 
+    def _sea(self, label: str, sea: Sea, units: Mapping[str, str]) -> Section:
         def told(name: str, size: float, count: int = 3) -> str:
             half = self._half(name, size)
             return digits(size, count) if np.isnan(half) else interval(size, half)
 
-        sections = []
-        for number, sea in enumerate(self.noise.seas, 1):
-            label = f"sea {number}" if len(self.noise.seas) > 1 else "sea"
-            period, width = float(sea.period or 0.0), 100.0 * float(sea.bandwidth or 0.0)
-            where = f" on {', '.join(sea.records)}" if sea.records else ""
-            words = (
-                f"Disturbance forces{where} have a period, as waves give them (or motion that the "
-                f"model lacks): {told(f'{label} period', period)} s, "
-                f"{told(f'{label} bandwidth', width, 2)} % wide (95 %)"
-                f"{'' if sea.shape == 'velocity' else ', with a tail at low frequencies'}."
-            )
-            head: tuple[str, ...] = ("waves", "significant amplitude", "unit")
-            rows: list[tuple[str, ...]] = [
-                (p, told(f"{label} {p} level", one) if one > 0 else "absent", units.get(p, ""))
-                for p, one in sea.significant.items()
-            ]
-            if sea.phases is not None:
-                words += f" One wave acts in all, behind that in {sea.places[0]} by a phase."
-                head = (*head, "phase [deg]", "common [% of variance]")
-                both = zip(rows, sea.common, strict=True)
-                rows = [(*row, f"{angle:.0f}", f"{share:.0f}") for row, (angle, share) in both]
-            table = Table(head, rows)
-            sections.append(Section("Sea", (words,), (table,), indent=2))
-        return sections
+        period, width = float(sea.period or 0.0), 100.0 * float(sea.bandwidth or 0.0)
+        where = f" on {', '.join(sea.records)}" if sea.records else ""
+        words = (
+            f"Disturbance forces{where} have a period, as waves give them (or motion that the "
+            f"model lacks): {told(f'{label} period', period)} s, "
+            f"{told(f'{label} bandwidth', width, 2)} % wide (95 %)"
+            f"{'' if sea.shape == 'velocity' else ', with a tail at low frequencies'}."
+        )
+        head: tuple[str, ...] = ("waves", "significant amplitude", "unit")
+        rows: list[tuple[str, ...]] = [
+            (p, told(f"{label} {p} level", one) if one > 0 else "absent", units.get(p, ""))
+            for p, one in sea.significant.items()
+        ]
+        if sea.phases is not None:
+            words += f" One wave acts in all, behind that in {sea.places[0]} by a phase."
+            head = (*head, "phase [deg]", "common [% of variance]")
+            both = zip(rows, sea.common, strict=True)
+            rows = [(*row, f"{angle:.0f}", f"{share:.0f}") for row, (angle, share) in both]
+        return Section("Sea", (words,), (Table(head, rows),), indent=2)
 
     def _half(self, name: str, size: float) -> float:
         """Half of the 95 % interval of a level or time of the noise; NaN where none is known."""

@@ -191,13 +191,7 @@ def departures_beside(fit: Estimate) -> tuple[Departure, ...]:
     smoothed = problem.posed(dataset=calm).passes(unknowns, columns=False)
     for signals, kind in asked:
         spoilt, unit = _spoilt(fit, signals, kind, problem, smoothed)
-        moved = problem.posed(dataset=spoilt).passes(unknowns, columns=False)
-        columns.append(
-            [
-                (other.innovations - part.innovations) / np.sqrt(part.variances) / unit
-                for part, other in zip(point.passes, moved, strict=True)
-            ]
-        )
+        columns.append(_moved(problem.posed(dataset=spoilt), point, unit))
     rows = (np.stack(of_record, axis=2) for of_record in zip(*columns, strict=True))
     left, scores, own = point.score(rows, len(asked))
     information = np.maximum(np.diag(left), ABSORBED * own)
@@ -212,6 +206,15 @@ def departures_beside(fit: Estimate) -> tuple[Departure, ...]:
         for (signals, kind), own in zip(asked, numbers, strict=True)
         if np.isfinite(own).all()
     )
+
+
+def _moved(problem: Filtered, point: Scored, unit: float) -> list[np.ndarray]:
+    """How far innovations are from those at a point, in standard deviations and for a unit."""
+    passes = problem.passes(point.unknowns, columns=False)
+    return [
+        (other.innovations - part.innovations) / np.sqrt(part.variances) / unit
+        for part, other in zip(point.passes, passes, strict=True)
+    ]
 
 
 def _spoilt(

@@ -225,6 +225,10 @@ class Sea:
         own = {name: value for name, value in vars(self).items() if value is not None}
         return replace(other, **own)
 
+    def is_met_on(self, records: Sequence[str]) -> bool:
+        """Whether any of some records meets this sea."""
+        return self.records is None or not {*records}.isdisjoint(self.records)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the sea as plain data for JSON."""
         return {
@@ -308,21 +312,23 @@ class NoiseModel:
         A record that none of them knows meets one of its own: of the levels, periods and widths
         that they have in the mean, and of phases that nothing tells.
         """
-        if all(sea.records is None for sea in self.seas):
-            return self
         known = {name for sea in self.seas for name in sea.records or ()}
+        if not known:
+            return self
         if records and {*records} <= known:
-            met = (s for s in self.seas if s.records is None or {*records} & {*s.records})
-            return replace(self, seas=tuple(met))
+            return replace(self, seas=tuple(sea for sea in self.seas if sea.is_met_on(records)))
+        each = (replace(self._usual_sea(), records=(name,)) for name in records)
+        return replace(self, seas=tuple(each) or (self._usual_sea(),))
+
+    def _usual_sea(self) -> Sea:
+        """What the seas of single records are in the mean."""
         periods, damping = _shapes_of(self.seas)
         levels = np.sqrt(np.mean([sea.level**2 for sea in self.seas], axis=0))
-        usual = replace(
+        return replace(
             self.seas[0].with_levels(levels),
             period=_middle(periods), bandwidth=2.0 * float(np.mean(damping)),
-            phases=None, coherence=None,
+            phases=None, coherence=None, records=None,
         )  # fmt: skip
-        each = (replace(usual, records=(name,)) for name in records)
-        return replace(self, seas=tuple(each) or (replace(usual, records=None),))
 
     @property
     def has_colour(self) -> bool:

@@ -255,15 +255,15 @@ def needed_by(
         name = pending.pop(0)
         if name in known:
             used.append(name)
-        elif name in inner and name not in found:
+        elif name in inner:
             found.add(name)
-            called |= expressions.functions(inner[name])
-            pending += sorted(expressions.names(inner[name]))
+            text = inner.pop(name)
+            called |= expressions.functions(text)
+            pending += sorted(expressions.names(text))
         elif name not in {*found, *constants, "t"}:
             return None
-    if called - set(expressions.FUNCTIONS):
-        return None
-    return used, [name for name in model.signals if name in found], constants
+    inside = sorted(found, key=[*model.signals].index)
+    return None if called - set(expressions.FUNCTIONS) else (used, inside, constants)
 
 
 # Longest interval by default: over more samples a wrong model runs far from the

@@ -8,7 +8,7 @@ unknown without any harm to it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -235,6 +235,13 @@ def speed_polar(
                 found.append(point)
         return max(found, key=lambda point: point[names.speed], default=None)
 
+    def speeds(values: Mapping[str, float]) -> Iterator[float]:
+        """Speeds at other values, sheets as they are best."""
+        other = model.with_values(dict(values))
+        for angle, point in zip(angles, best, strict=True):
+            found = point and steady(other, angle, point[names.sheet], start(point))
+            yield found[names.speed] if found else math.nan
+
     begin = dict(guess or {names.speed: 0.3 * wind_speed})
     best: list[dict[str, float] | None] = []
     for angle in angles:
@@ -242,15 +249,14 @@ def speed_polar(
     sets = parameter_sets(fit, model, n_draws, rng)[1:]
     draws = np.full((len(sets), len(angles)), math.nan)
     for row, values in enumerate(sets):
-        other = model.with_values(dict(zip(model.parameter_names, values.tolist(), strict=True)))
-        for column, (angle, point) in enumerate(zip(angles, best, strict=True)):
-            if point and (found := steady(other, angle, point[names.sheet], start(point))):
-                draws[row, column] = found[names.speed]
-    states = {
-        key: np.array([math.nan if point is None else point[key] for point in best])
-        for key in (*keys, names.sheet)
-    }
+        draws[row] = [*speeds(dict(zip(model.parameter_names, values.tolist(), strict=True)))]
+    states = {key: _along(best, key) for key in (*keys, names.sheet)}
     return SpeedPolar(
         model.name, wind_speed, angles, states[names.speed], states[names.sheet], states, draws,
         "" if fit is None else fit.caveat,
     )  # fmt: skip
+
+
+def _along(points: Sequence[Mapping[str, float] | None], key: str) -> np.ndarray:
+    """One number of steady points, NaN where there is none, ``(n_points,)``."""
+    return np.array([math.nan if point is None else point[key] for point in points])
