@@ -66,8 +66,10 @@ def _unopposed(end: Result, traces: Sequence[Trace], question: Question) -> Resu
     that but for whole periods: linearised step by step both may grow until the signals, with both
     undone, agree less than as logged.
     """
-    kinds = [one.candidate.kind for one in end.found]
-    opposed = {one.candidate for one in end.found if kinds.count(one.candidate.kind) > 1}
+    # What begins at a place of a record is another at every place.
+    whole = {one.candidate for one in end.found} & {*question.common, *question.single}
+    kinds = [one.kind for one in whole]
+    opposed = {one for one in whole if kinds.count(one.kind) > 1}
     if not opposed:
         return end
     common = tuple(one for one in question.common if one not in opposed)
