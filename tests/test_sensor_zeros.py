@@ -19,6 +19,7 @@ from oed_sysid import (
     Output,
     Parameter,
     Record,
+    Solver,
     State,
 )
 
@@ -82,6 +83,15 @@ def test_zeros_are_estimated_with_everything_else() -> None:
     assert said["phi"] == pytest.approx(3.0 * STD[1], rel=0.1)
     assert said["p"] == pytest.approx(0.0, abs=0.3 * STD[0])
     np.testing.assert_allclose(fit.noise.sensors, STD, rtol=0.2)
+
+
+def test_ipopt_knows_zeros() -> None:
+    """It ends where the damped steps do, to a twentieth of a standard error."""
+    fit = fitted(0, 3.0)
+    again = MultipleShooting(solver=Solver("ipopt")).fit(MODEL, fit.dataset)
+    off = [(again.values[name] - fit.values[name]) / fit.std_errors[name] for name in TRUE]
+    assert np.abs(off).max() < 0.05
+    np.testing.assert_allclose(again.noise.zeros, fit.noise.zeros, rtol=0.05)
 
 
 @pytest.mark.parametrize("pushed", [False, True], ids=["white", "first order"])

@@ -294,7 +294,7 @@ class MultipleShooting:
         free = condensed._fit(given)
         if free.status.code == "interrupted":
             return free
-        if not (free.noise.has_forces and free.status.ok):
+        if free.noise.is_white or not free.status.ok:
             return None
         began = time.perf_counter()
         problem, begin = posed_again(free, given.known_starts, levels=True)
