@@ -53,7 +53,7 @@ from oed_sysid.likelihood.information import COLOUR_LIMIT
 from oed_sysid.likelihood.noise_levels import RARE, parabolas
 from oed_sysid.likelihood.projection import project_out, score_beside
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import BEYOND, MATERIAL
+from oed_sysid.runtime.constants import BEYOND, MATERIAL, THREE_DIGITS
 from oed_sysid.text import expressions
 
 Departed = TypeVar("Departed", Departure, ActuatorStart)
@@ -219,8 +219,9 @@ def instruments_of(model: Model) -> list[tuple[str, ...]]:
 
 
 def levers_of(model: Model) -> tuple[str, ...]:
-    """Kinds of an instrument off the origin."""
-    return tuple(kind for kind, axis in LEVERS.items() if axis in model.axes)
+    """Kinds of an instrument off the origin, where there is one."""
+    axes = model.axes if instruments_of(model) else ()
+    return tuple(kind for kind, axis in LEVERS.items() if axis in axes)
 
 
 def off_origin(
@@ -290,7 +291,9 @@ def _slowness(fit: Estimate) -> dict[str, float]:
 def _departed(fit: Estimate, index: int, run: Run, _: np.ndarray) -> np.ndarray:
     """Derivatives of a record's outputs by every departure that is asked."""
     record, shift, model = fit.dataset[index], fit.dataset[index].sample_time, fit.model
-    values, smoothed = values_of(fit, index), outputs_of(fit, index, smoothed_inputs(record))
+    values, calm = values_of(fit, index), smoothed_inputs(record)
+    known = np.array_equal(calm, record.inputs)
+    smoothed = run.outputs if known else outputs_of(fit, index, calm)
     shapes = {kind: shape(smoothed, record.times) for kind, shape in SHAPES.items()}
     for kind in levers_of(model):
         shapes[kind] = off_origin(model, kind, values, run.states, record.times)
@@ -343,9 +346,11 @@ def clear_departure(fit: Estimate, found: Sequence[Departure]) -> Departure | No
     smaller one where the coefficient of the input is free.
     """
     clear = _clear(fit, found)
-    best = max(clear, key=lambda one: one.gain, default=None)
-    if best is None:
+    if not clear:
         return None
+    # Two that are one and the same differ by rounding: the zero of an input, or of what follows it.
+    most = max(one.gain for one in clear)
+    best = next(one for one in clear if one.gain >= (1.0 - THREE_DIGITS) * most)
     # In residuals as large and as correlated as those of the best.
     near = best.gain * (CLEARLY * best.std / best.size) ** 2
     others = (one for one in clear if one is not best and one.gain > best.gain - near)

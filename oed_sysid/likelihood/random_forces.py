@@ -38,6 +38,7 @@ from oed_sysid.data.record import Record
 from oed_sysid.likelihood.between_records import CHANCE, WORTH_TELLING
 from oed_sysid.likelihood.covariance import FEWEST
 from oed_sysid.likelihood.departures import TWOFOLD
+from oed_sysid.likelihood.estimate import once_a_fit
 from oed_sysid.likelihood.filtered import NEXT_PERIOD, Filtered
 from oed_sysid.likelihood.gauss_newton import (
     FEW,
@@ -404,7 +405,7 @@ def _joined(
     noise, least, begin = found.noise, WORTH, None
     if not places:
         return None
-    scored = Scored.at(found)
+    scored = _scored(found)
     for time in times:
         wide = noise.with_places(places, time)
         gain, variances = scored.gain(posed_at(wide), [f"{place} level" for place in places])
@@ -420,6 +421,12 @@ def _joined(
     asked = (begin.force > 0) | (begin.force_time > 0)
     asked[: len(noise.places)] = True
     return posed_at(begin.only(asked))
+
+
+@once_a_fit
+def _scored(found: FilteredSolution) -> Scored:
+    """The end of an estimation, at which several parts are asked for."""
+    return Scored.at(found)
 
 
 def _own_times(found: FilteredSolution, noise: NoiseModel) -> bool:
@@ -457,7 +464,7 @@ def zeros_of_sensors(found: FilteredSolution, setting: Setting) -> Filtered | No
     sizes = noise.colour
     if not has.any():
         names = [f"colour of {name} level" for name in noise.outputs]
-        gain, variances = Scored.at(found).gain(posed(found, setting, off, ~has), names)
+        gain, variances = _scored(found).gain(posed(found, setting, off, ~has), names)
         if gain < WORTH:
             return None
         sizes = np.sqrt(variances)
