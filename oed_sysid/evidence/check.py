@@ -66,7 +66,7 @@ from oed_sysid.likelihood.departures import ACTING
 from oed_sysid.likelihood.estimate import Departure
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.input_factors import input_factors
-from oed_sysid.likelihood.judgement import concerns_of, departure_of
+from oed_sysid.likelihood.judgement import Concern, concerns_of, departure_of
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.likelihood.whole_runs import whole_runs
 from oed_sysid.physics import Effect
@@ -414,10 +414,9 @@ def _departed(log: LogCheck, fit: Fit, best: Departure) -> list[Finding]:
     kind = "bias" if one.kind == "offset" else one.kind
     if any(log.named(kind, name) for name in best.signals):
         return []
-    says, _, fix = one.text.partition(". ")
     unit, least = kinds[kind]
     finding = words.said(
-        kind, best.signals, log.records, {"says": f"{says}.", "todo": fix}, row="departs",
+        kind, best.signals, log.records, _text(one), row="departs",
         size=best.size, interval=interval(best.size, best.std), unit=unit, gain=best.gain,
         alternatives=best.rivals, suspect=abs(best.size) > least,
     )  # fmt: skip
@@ -426,17 +425,19 @@ def _departed(log: LogCheck, fit: Fit, best: Departure) -> list[Finding]:
 
 def _zeros(log: LogCheck, fit: Fit) -> Iterator[Finding]:
     """Sensors that a fit estimates to be off, unless the equations between signals have said so."""
-    if not fit.noise.zeros.any():
-        return
     unit = {output.name: output.unit for output in fit.model.outputs}
     for one in concerns_of(fit, "zero"):
         if not log.named("bias", one.signal):
-            says, _, fix = one.text.partition(". ")
-            row = {"says": f"{says}.", "todo": fix}
             yield words.said(
-                "bias", (one.signal,), log.records, row, row="zero",
+                "bias", (one.signal,), log.records, _text(one), row="zero",
                 size=one.size, unit=unit[one.signal],
             )  # fmt: skip
+
+
+def _text(one: Concern) -> dict[str, str]:
+    """What a concern says, and what to do: the sentences behind the first."""
+    says, _, todo = one.text.partition(". ")
+    return {"says": f"{says}.", "todo": todo}
 
 
 def _equations(

@@ -29,8 +29,9 @@ from time import perf_counter
 import numpy as np
 
 from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
-from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, SimulationError
+from oed_sysid.likelihood.departures import smoothed_inputs
 from oed_sysid.likelihood.disturbances import Place, chosen_places, disturbance
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import Integration, once_a_fit
@@ -40,7 +41,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FROZEN_TOLERANCE, FilteredSolution, solve_filtered
 from oed_sysid.likelihood.integration import resolved
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.noise_levels import credible_levels, given_levels, parabolas
+from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
 from oed_sysid.likelihood.noise_model import Disturbances, Levels, NoiseModel, forces_in, seas_in
 from oed_sysid.likelihood.projection import eliminate, inverse_of
 from oed_sysid.likelihood.random_forces import Start, admitted, fit_disturbed, solved
@@ -208,7 +209,9 @@ class Study:
         if not noisy:
             return None
         train, validation = (
-            None if records is None else Dataset(tuple(_smoothed(one, noisy) for one in records))
+            None
+            if records is None
+            else Dataset(tuple(one.with_inputs(smoothed_inputs(one, noisy)) for one in records))
             for records in (self.train, self.validation)
         )
         assert train is not None
@@ -485,14 +488,6 @@ def _solved(
     return solve_filtered(
         problem, point, max_iterations=max_iterations, tolerance=0.01, polish=0
     ).finite
-
-
-def _smoothed(record: Record, noisy: Sequence[str]) -> Record:
-    """A record whose noisy inputs are parabolas through neighbours."""
-    inputs = record.inputs.copy()
-    for column in map(record.channels.input_names.index, noisy):
-        inputs[:, column] = parabolas(inputs[:, column])
-    return record.with_inputs(inputs)
 
 
 def allowed_rise(fit: FilteredSolution) -> float:

@@ -312,21 +312,24 @@ def _departed(fit: Estimate, index: int, run: Run, _: np.ndarray) -> np.ndarray:
 
 def acting(record: Record, column: int, kind: str, by: float) -> Record:
     """A record in which one input acts later by some seconds, or is larger by so much."""
-    inputs, known = record.inputs.copy(), smoothed_inputs(record)[:, column]
-    late = np.interp(record.times - by, record.times, known) - known
-    inputs[:, column] += late if kind == "acts late" else by
+    inputs = record.inputs.copy()
+    if kind == "acts late":
+        known = smoothed_inputs(record)[:, column]
+        inputs[:, column] += np.interp(record.times - by, record.times, known) - known
+    else:
+        inputs[:, column] += by
     return record.with_inputs(inputs)
 
 
-def smoothed_inputs(record: Record) -> np.ndarray:
-    """Inputs ``(n_times, n_inputs)``, those that are linear between samples by parabolas.
+def smoothed_inputs(record: Record, names: Sequence[str] | None = None) -> np.ndarray:
+    """Inputs ``(n_times, n_inputs)``, some by parabolas: those linear between samples by default.
 
     Noise of what was measured is in the residuals, too: a departure that had it as well would be
     taken for late or early.
     """
     inputs = record.inputs.copy()
     for column, channel in enumerate(record.channels.inputs):
-        if channel.interpolation == "linear":
+        if channel.interpolation == "linear" if names is None else channel.name in names:
             inputs[:, column] = parabolas(inputs[:, column])
     return inputs
 
