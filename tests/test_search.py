@@ -17,6 +17,7 @@ from oed_sysid import (
     MultipleShooting,
     Parameter,
     Record,
+    improve,
 )
 from oed_sysid.evidence.claim import Claim
 from oed_sysid.evidence.rank import Ranking, Refit, rank
@@ -285,3 +286,34 @@ def test_rounding_of_what_is_known_makes_no_prediction(
     told = np.linalg.eigvalsh(found.known)
     assert told[0] > -1e-9 * told[-1]
     assert found.misfit == pytest.approx(honest, abs=10.0)
+
+
+def test_usual_physics_is_asked_before_a_polynomial() -> None:
+    """Dry friction of a carriage, of which only a quadratic drag was named as a candidate."""
+    carriage = small(
+        "carriage",
+        "v [m/s] <- pull [N]",
+        {"v": "(pull - drag*v)/10"},
+        {"drag [N*s/m]": 2.5},
+        {"v": 0.01},
+        step=0.05,
+    )
+
+    def run(seed: int) -> Record:
+        """Ten kilograms, 2 N s/m, 1.5 N of friction that sets in within 0.02 m/s; pull held."""
+        rng, n, inner = np.random.default_rng(seed), 300, 50
+        pull = np.repeat(rng.uniform(-8.0, 8.0, n // 10), 10)
+        v, seen = 0.0, np.zeros(n)
+        for i, force in enumerate(pull):
+            seen[i] = v
+            for _ in range(inner):
+                v += 0.1 / inner * (force - 2.0 * v - 1.5 * np.tanh(v / 0.02)) / 10.0
+        noisy = seen + 0.01 * rng.standard_normal(n)
+        times = 0.1 * np.arange(n)
+        return Record(f"pull {seed}", times, pull[:, None], noisy[:, None], carriage.channels)
+
+    drag = Force("square", {"v": "-square*abs(v)*v/10"}, [Parameter("square", 0.0, "kg/m")])
+    found = improve(carriage, Dataset((run(1), run(2))), Dataset((run(3),)), candidates=[drag])
+    assert [step.added for step in found.steps] == ["friction_v"]
+    assert found.remains.kind == "adequate"
+    assert 10.0 * found.fit.values["E_friction_v"] == pytest.approx(1.5, rel=0.05)

@@ -24,6 +24,7 @@ from oed_sysid.evidence.rank import Ranking, Refit, hopeful, pairs, rank
 from oed_sysid.evidence.remainder import Remains, followed, remains
 from oed_sysid.evidence.score import imitated_by
 from oed_sysid.evidence.study import Study, likelier, usual
+from oed_sysid.evidence.usual import usual_effects
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.gauss_newton import NEAR, FilteredSolution
@@ -136,7 +137,7 @@ class Search:
     all_samples : Dataset or None
         Training records with all samples, where some were left out.
     terms : bool
-        Whether a term that no candidate holds is sought.
+        Whether what no candidate is may be sought: usual effects that were not named, then a term.
     """
 
     max_effects: int
@@ -148,7 +149,7 @@ class Search:
 
     def known(self, study: Study, base: FilteredSolution) -> Ended:
         """Search among the candidates from a nominal fit, and ask all samples."""
-        state, first, last = self.ended(study, base)
+        state, first, last = self.ended(Standing(study, (), base, (base,)))
         if self.all_samples is not None and state.added:
             self.tell("asking all samples")
             full = replace(study, train=self.all_samples, validation=None)
@@ -163,8 +164,10 @@ class Search:
         return Ended(state, first, last, self._left(state))
 
     def beyond(self, end: Ended) -> Ended:
-        """Look for a term for what is left, where that is more than noise."""
-        if end.left.is_noise or not self.terms or not np.isfinite(end.left.forces):
+        """Look for what no candidate is, where more than noise is left: usual physics, a term."""
+        if end.left.structured and self._unexplained(end) and not end.state.study.train.only_tests:
+            end = self.usual(end)
+        if not self._unexplained(end):
             return end
         self.tell("looking for a term that no known effect holds")
         found = self.stage("unknown term", partial(with_term, end.state, self.max_effects))
@@ -176,6 +179,30 @@ class Search:
             wider = self.stage("a sea beside the term", partial(with_waves, wider, None)) or wider
         left = end.left if proposals is None else self._left(wider)
         return replace(end, state=wider, left=replace(left, tied=tied), proposals=proposals)
+
+    def usual(self, end: Ended) -> Ended:
+        """Go on among the usual effects that nobody named: physics with a name leads a term."""
+        study = end.state.study
+        known = {effect.name for effect in (*study.candidates, *study.base.effects)}
+        more = [e for e in usual_effects(study.base, study.train) if e.source != POLYNOMIAL]
+        more = [effect for effect in more if effect.name not in known]
+        if not more:
+            return end
+        self.tell("looking among usual effects that were not named")
+        begun = replace(end.state, study=study.with_candidates(more))
+        state, _, last = self.ended(begun)
+        found = sorted(state.names - known)
+        if not found:
+            return end
+        self.notes.append(
+            "No candidate that was named explains what is left. Found among the "
+            f"{len(more)} usual effects that were not named: {', '.join(found)}."
+        )
+        return replace(end, state=state, last=last or end.last, left=self._left(state))
+
+    def _unexplained(self, end: Ended) -> bool:
+        """Whether what is left is more than noise, and may be asked for."""
+        return self.terms and not end.left.is_noise and bool(np.isfinite(end.left.forces))
 
     def _left(self, state: Standing) -> Remains:
         work = partial(remains, state.study, state.fit)
@@ -192,7 +219,7 @@ class Search:
         follow motion or commands, which no disturbance does, any better runs of no more effects do.
         Nothing found is no reason to leave out forces that the records ask for.
         """
-        calm, first, last = self.ended(study, base)
+        calm, first, last = self.ended(Standing(study, (), base, (base,)))
         found, present = end.state.study, end.state.fit
         noise = found.loosened(calm.fit.noise)
         fit = calm.added and found.estimate(calm.effects, calm.fit.values, calm.fit, noise=noise)
@@ -231,11 +258,8 @@ class Search:
             self.notes.append(f"One stage could not be done: {error}")
             return None
 
-    def ended(
-        self, study: Study, base: FilteredSolution
-    ) -> tuple[Standing, Ranking, Ranking | None]:
+    def ended(self, state: Standing) -> tuple[Standing, Ranking, Ranking | None]:
         """Search to the end: the state, the first and the last ranking; what was found stays."""
-        state = Standing(study, (), base, (base,))
         seen: list[tuple[Standing, Ranking]] = []
         try:
             seen.extend(self.rounds(state))

@@ -449,14 +449,19 @@ def nonlinear_yaw_damping(name: str = "nonlinear_yaw_damping", *, axis: str = "N
 
 @table.row(Force)
 def coulomb_friction(name: str, axis: str, velocity: str, *, unit: str = "N",
-                     velocity_unit: str = "m/s", smooth: float = 0.01, scale: float = 1.0,
-                     value: float = 0.0) -> table.Derived:
+                     velocity_unit: str = "m/s", smooth: float = 0.01, span: float = 1.0,
+                     scale: float = 1.0, value: float = 0.0) -> table.Derived:
     r"""Dry friction, :math:`-E\tanh(v/v_0)`; ``smooth`` is :math:`v_0`.
+
+    With a ``span`` above one :math:`v_0` is estimated, between ``smooth`` divided by it and times it:
+    nobody knows how fast a friction sets in.
 
     >>> coulomb_friction("dry", "X", "v").terms
     {'X': '-E_dry*tanh(v/v0_dry)'}
     """
-    return {"v0": _fixed(f"v0_{name}", smooth, velocity_unit, "smoothing")}
+    onset = (f"v0_{name}", smooth, velocity_unit)
+    return {"v0": table.within(*onset, span, "smoothing") if span > 1.0 else
+            _fixed(*onset, "smoothing")}
 
 
 @table.row(Force)
