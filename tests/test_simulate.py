@@ -106,7 +106,8 @@ def test_looking_ahead_changes_no_bit(interpolation: str, feedback: str, monkeyp
     changed = tuple(replace(one, interpolation=interpolation) for one in AUV.inputs)
     model, test = replace(AUV, inputs=changed), replace(DIVE, feedback=feedback)
     ahead = simulate(model, test, noise=False)
-    monkeypatch.setattr("oed_sysid.experiments.simulation._AHEAD", 1)
+    # Where nothing counts as going on as it did, one sample is simulated at a time.
+    monkeypatch.setattr("oed_sysid.experiments.simulation.ROUNDING", -1.0)
     stepwise = simulate(model, test, noise=False)
     assert len(np.unique(ahead.inputs)) > 10
     np.testing.assert_array_equal(ahead.inputs, stepwise.inputs)

@@ -46,10 +46,6 @@ __all__ = [
     "trajectory_of",
 ]
 
-# Samples that are simulated at once while a manoeuvre that reacts goes on: at first, and the square
-# of it at most.
-_AHEAD = 16
-
 
 def simulate(
     model: Model,
@@ -221,10 +217,10 @@ class _Loop:
         inputs[0, self.columns] = self._decide(0, first, 0)
         # What remembers begins at the first command, once that is decided.
         z, _ = self.runner.start(self.own, inputs[0], self.values, times[0])
-        k, ahead, slope = 1, _AHEAD, np.zeros(len(self.columns))
+        k, turns, slope = 1, 1, np.zeros(len(self.columns))
         while k < len(times):
-            # Ahead as if no command reacted but went on as it does: most hold for seconds.
-            n = min(ahead, len(times) - k)
+            # Ahead as if no command reacted but went on as it does, for as long as most did.
+            n = min(2 * k // turns, len(times) - k)
             going = inputs[k - 1, self.columns] + np.outer(np.arange(1, n + 1), slope)
             inputs[k : k + n, self.columns] = going
             going = going.tolist()
@@ -243,7 +239,7 @@ class _Loop:
                     for one, other in zip(decided, going[row - 1], strict=True)
                 ):
                     break
-            k += row
+            k, turns = k + row, turns + moved
             # A rudder that moves at its rate goes on so for many samples.
             slope = inputs[k - 1, self.columns] - inputs[k - 2, self.columns]
             z = window.states[row]
@@ -251,7 +247,6 @@ class _Loop:
                 two = slice(k - 2, k)
                 last = self.runner.run(times[two], inputs[two], self.values, window.states[row - 1])
                 z = last.states[1]
-            ahead = _AHEAD if moved else min(2 * ahead, _AHEAD**2)
         return inputs
 
     def _measured(self, times: np.ndarray, commands: np.ndarray, window: Run) -> Run:
