@@ -21,6 +21,7 @@ import streamlit as st
 from oed_sysid.app import visit
 from oed_sysid.app.panels import download, message
 from oed_sysid.app.trust import check_uploads
+from oed_sysid.data.csv_columns import TIMES
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.data.formats import FORMATS
 from oed_sysid.data.logs import (
@@ -34,7 +35,7 @@ from oed_sysid.data.logs import (
     recognise,
 )
 from oed_sysid.data.mapping import CommandCuts, Cut, parse
-from oed_sysid.data.recognise import TIMES, role_of, source_of
+from oed_sysid.data.recognise import role_of, source_of
 from oed_sysid.data.record import clear_wraps
 from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.experiments.problem import Problem

@@ -37,8 +37,8 @@ DAY = timedelta(days=1).total_seconds()
 TIME_NAMES = ("t", "time", "times", "tout", "timestamp")
 # Seconds since 1970 of the years 2000 to 2100: a time there counts from 1970.
 EPOCH = tuple(datetime(year, 1, 1, tzinfo=UTC).timestamp() for year in (2000, 2100))
-# A log that steps by more seconds may count milliseconds.
-SUSPICIOUS_STEP = 20.0
+# Nats of the units of a clock that names none.
+TIMES = {"s": 0.0, "ms": -1.0, "us": -2.0, "min": -2.0, "h": -4.0}
 # What no vehicle reaches, by SI unit.
 SUSPICIOUS_SIZE = {"rad": 20.0, "rad/s": 50.0, "m/s": 500.0, "m/s^2": 1e4, "m": 1e8}
 # Loggers write in single precision: a larger number is no measurement.
@@ -155,7 +155,8 @@ class Columns:
                 "set. Cut the log there, and read both parts."
             )
         step = float(np.median(np.diff(times))) if times.size > 1 else 0.0
-        if step >= SUSPICIOUS_STEP and unit == "s" and "time" not in self.units:
+        unlikely = step > 0.0 and odds_of_clock("ms", 1e-3 * step) > odds_of_clock("s", step)
+        if unlikely and unit == "s" and "time" not in self.units:
             words = f"{self._where(index)} steps by {step:.4g} s. If it is in "
             words += "milliseconds, write the header as 't [ms]'."
             self.suspicions.append(UnitWarning(words))
@@ -429,6 +430,19 @@ def _check_unit(where: str, channel: Input | Output, name: str, unit: str) -> No
             f"unit that converts to it. {mend} '{name} [{channel.unit}]', or choose another column "
             "with column=..."
         )
+
+
+def odds_of_clock(unit: str, step: float) -> float:
+    """Nats of a clock's unit, by the step in s that it makes of a log's.
+
+    Vehicles are logged some times in a second to some times in a minute.
+
+    Examples
+    --------
+    >>> odds_of_clock("s", 100.0) < odds_of_clock("ms", 0.1)
+    True
+    """
+    return TIMES.get(unit, 0.0) - 0.5 * (float(np.log(step / 0.5)) / 2.5) ** 2
 
 
 def unit_of_counts(counts: np.ndarray) -> str | None:

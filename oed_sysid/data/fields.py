@@ -17,16 +17,19 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import expit
 
 from oed_sysid.data.log import TABLE, Log, Series, meaning, symbol_of
 from oed_sysid.data.record import TURN, clear_wraps, unwrapped
+from oed_sysid.runtime.constants import TOLD_APART
 from oed_sysid.text.units import converts, is_unit, to_si
 
 # Roles of measured motion, and of commands.
 MOTION = ("psi", "r", "phi", "p", "theta", "q", "u", "v", "w", "x", "y", "z")
 COMMANDS = ("rudder", "rpm", "shaft_speed", "thrust")
-# Probability from which on a choice is not asked. At 0.9 one mirrored log in ten passes unasked.
-SURE = 0.95
+# Probability from which on a choice is not asked: the odds that tell explanations apart. At 0.9 one
+# mirrored log in ten passes unasked.
+SURE = float(expit(0.5 * TOLD_APART))
 # Independent samples of a motion whose record may be long but has few manoeuvres; all evidence
 # grows with it.
 INDEPENDENT = 30
@@ -292,7 +295,7 @@ def certain(share: float, fits: float, named: float) -> bool:
     with the slope of two units, where any slope would be as likely.
     """
     odds = float(np.clip(explained(share) - explained(RIVAL), -NAMED, NAMED)) + fits
-    return bool(named > 0.0 or (named == 0.0 and odds > np.log(SURE / (1.0 - SURE))))
+    return bool(named > 0.0 or (named == 0.0 and odds > 0.5 * TOLD_APART))
 
 
 def chances(scores: Sequence[float]) -> np.ndarray:

@@ -29,6 +29,7 @@ from typing import Any
 
 import numpy as np
 
+from oed_sysid.data.csv_columns import TIMES, odds_of_clock
 from oed_sysid.data.fields import (
     COMMANDS,
     MOTION,
@@ -60,7 +61,6 @@ from oed_sysid.runtime.display import align, as_dict
 from oed_sysid.text.units import converts, is_unit, parse_header, shown_unit, to_si
 
 RATES = {"psi": "r", "phi": "p", "theta": "q"}
-TIMES = {"s": 0.0, "ms": -1.0, "us": -2.0, "min": -2.0, "h": -4.0}
 _HEADS = ("field", "is", "as logged", "as read", "because", "please confirm")
 
 
@@ -336,8 +336,7 @@ class _Work:
         # Asked again and again of the same fields.
         self.pairs, self.plane_of = cache(self._pairs), cache(self._plane_of)
         step = float(np.median(np.diff(self.fields.times)))
-        # Vehicles are logged some times in a second to some times in a minute.
-        self.score = TIMES.get(time_unit, 0.0) - 0.5 * float(np.log(step / 0.5) / 2.5) ** 2
+        self.score = odds_of_clock(time_unit, step)
         self._rotations()
         self._rest()
 

@@ -33,11 +33,12 @@ from oed_sysid.errors import ModelError
 from oed_sysid.physics import base
 from oed_sysid.physics.base import Actuator, Effect, Force, Sensor
 from oed_sysid.physics.parameters import Parameter, about_zero
+from oed_sysid.text.expressions import DEEPEST
 
 GELB = "Gelb (1974), Applied optimal estimation, section 3.8."
 SOURCE = "Jategaonkar (2015), Flight vehicle system identification, chapter 3 (unknown inputs)."
-# Above this number of nodes a fit has more unknowns than it can use.
-MOST_NODES = 200
+# The sum of the series is nested as deep as it has terms; the rest is for what stands about them.
+MOST_NODES = DEEPEST - 10
 
 Kind = TypeVar("Kind", bound=Effect)
 
