@@ -49,7 +49,6 @@ from oed_sysid.likelihood.gauss_newton import nowhere
 from oed_sysid.likelihood.judgement import CHECKS, FATAL, SAYS, Concern, judge, unexplained
 from oed_sysid.likelihood.laws import departures_beside
 from oed_sysid.likelihood.noise_levels import (
-    FALSE_SHARE,
     held_masks,
     repeating,
     size_of_few,
@@ -57,6 +56,7 @@ from oed_sysid.likelihood.noise_levels import (
     spike_sizes,
 )
 from oed_sysid.physics import Force, RandomForce
+from oed_sysid.runtime.constants import IMMATERIAL
 from oed_sysid.runtime.display import told
 
 WHITE = MultipleShooting(noise=NOISE, disturbances="none")
@@ -244,9 +244,9 @@ def test_small_spikes_are_sought_as_deep_as_their_share_allows() -> None:
     sizes = np.abs(rng.standard_normal(2000))
     sizes[:100] = np.abs(5.0 + rng.standard_normal(100))
     chance = 2.0 * norm.sf(sizes)
-    expected = false_discovery_control(chance) <= FALSE_SHARE
+    expected = false_discovery_control(chance) <= IMMATERIAL
     assert np.array_equal(sizes > size_of_few(sizes, 5.0), expected)
-    expected = false_discovery_control(np.r_[np.zeros(40), chance])[40:] <= FALSE_SHARE
+    expected = false_discovery_control(np.r_[np.zeros(40), chance])[40:] <= IMMATERIAL
     assert np.array_equal(sizes > size_of_few(sizes, 5.0, 40), expected)
     assert size_of_few(np.full(50, 0.5), 5.0) == 5.0
 

@@ -96,8 +96,10 @@ SEA_VARIANCE, SEA_PERIOD, SEA_DAMPING, SEA_PHASE = range(5, 9)
 VARIANCES = (FORCE_VARIANCE, COLOUR_VARIANCE, SEA_VARIANCE)
 # Most disturbances that act through one parameter, as in ``filter.c``.
 MOST_PROCESSES = 4
-# Number of a disturbance of fourth order among those of a sea.
-FOURTH = 2
+# Shapes of a sea, and how their equations turn: one pair of which the velocity or the displacement
+# acts, or two, of fourth order.
+SHAPES = {"jonswap": 2, "velocity": -1, "displacement": 1}
+FOURTH = SHAPES["jonswap"]
 # Frequencies of its two pairs over that of the peak, and the damping of the second: nearest, in
 # the divergence of Whittle, to JONSWAP spectra of peakedness 1 to 7.
 FIRST_PAIR, SECOND_PAIR, SECOND_DAMPING = 0.97, 1.67, 0.42

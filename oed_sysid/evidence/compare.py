@@ -27,7 +27,7 @@ from oed_sysid.evidence.study import Study, total_error
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
-from oed_sysid.likelihood.gauss_newton import POLISH_STEPS, Convergence, Descent
+from oed_sysid.likelihood.gauss_newton import FIRST_STEPS, Convergence, Descent
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels, root_mean_square
 from oed_sysid.likelihood.noise_model import Disturbances
 from oed_sysid.likelihood.prediction import WAYS, Initial, Prediction, predict
@@ -672,7 +672,7 @@ def _ahead(
     problem = Windows(shooting, [part], weight[None], unknowns)
     descent = Descent(problem.at(problem.start), Windows.at, Convergence(1e-3))
     if np.isfinite(descent.now.cost):
-        descent.run(POLISH_STEPS)
+        descent.run(FIRST_STEPS)
     (nodes,) = descent.lowest.point.nodes
     gram = problem.products(part, unknowns, nodes)
     known = np.diag(weight) if gram is None else gram[:, :-1, :-1] + np.diag(weight)

@@ -24,7 +24,7 @@ from oed_sysid.evidence.check import LogCheck
 from oed_sysid.evidence.propose import HORIZONTAL, Factors, Term, cyclic, product_text
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.experiments.simulation import simulate
-from oed_sysid.likelihood.covariance import FEWEST
+from oed_sysid.likelihood.between_records import FEWEST
 from oed_sysid.likelihood.disturbances import disturbance, equation_units, places
 from oed_sysid.likelihood.start_guess import (
     check_channels,

@@ -66,7 +66,7 @@ from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate_inputs, trajectory_of
 from oed_sysid.experiments.steady import Equilibrium, linearise
 from oed_sysid.information.response import Levels, acting
-from oed_sysid.likelihood.covariance import FEWEST
+from oed_sysid.likelihood.between_records import FEWEST
 from oed_sysid.likelihood.disturbances import Place, chosen_places, with_disturbance_inputs
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_model import NoiseModel, Sea

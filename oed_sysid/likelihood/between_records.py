@@ -87,8 +87,9 @@ from oed_sysid.data.record import Record
 from oed_sysid.likelihood.projection import coordinates, inverse_of
 from oed_sysid.runtime.constants import RANK_TOLERANCE
 
-# Records from which on their scatter tells something: three degrees of freedom.
-FEWEST_RECORDS = 4
+# Fewest of what shows by how much it scatters, three degrees of freedom: records, samples of a
+# period and periods of a block, windows for each parameter.
+FEWEST = 4
 # Chance that a fit whose errors are right is told that its records differ.
 CHANCE = 0.01
 # Standard deviations that are wrong by a smaller factor are not worth a word.
@@ -231,7 +232,7 @@ class Sources:
         (0.25, 3.0)
         """
         n, prior, records = self.n_records, self.matrices[0], self.matrices[1:]
-        if n < FEWEST_RECORDS or not len(prior):
+        if n < FEWEST or not len(prior):
             return None
         whole = self.matrices.sum(axis=0)
         scale = np.sqrt(np.maximum(np.diag(whole), 0.0))

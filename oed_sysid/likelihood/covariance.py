@@ -53,7 +53,7 @@ from scipy.special import chdtrc, gammaincc
 
 from oed_sysid.data.dataset import Record
 from oed_sysid.data.record import sampled_alike
-from oed_sysid.likelihood.between_records import CHANCE, Sources, sources_of
+from oed_sysid.likelihood.between_records import CHANCE, FEWEST, Sources, sources_of
 from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.information import (
@@ -401,10 +401,6 @@ def _scores(
     return [score(residual) for residual in residuals], np.maximum(gain, 0.05)
 
 
-# Periods that are searched: at least so many samples, and so many of them in a block.
-FEWEST = 4
-
-
 @dataclass(frozen=True)
 class Peak:
     """Power of innovations about one frequency.
@@ -677,9 +673,8 @@ class ReducedFilter(Reduced):
         return found
 
 
-# Share of a record's windows over which scores are taken to be related, and windows per parameter
-# that a covariance from their scores needs.
-RELATED, ENOUGH = 0.1, 4
+# Share of a record's windows over which scores are taken to be related.
+RELATED = 0.1
 
 
 def errors_of_windows(problem: Windows, point: Point, coloured: str) -> Errors:
@@ -711,7 +706,7 @@ def errors_of_windows(problem: Windows, point: Point, coloured: str) -> Errors:
     scores = [told[i][1] for i in np.flatnonzero(~tests)]
     white = matrices[~tests].sum(axis=0)
     # From the residuals where windows are few.
-    few = problem.n_windows < ENOUGH * n_shared
+    few = problem.n_windows < FEWEST * n_shared
     middle = prior + (_inflation(problem, point) * white if few else sum(map(_summed, scores)))
     if alone is not None:
         middle += alone.of_tests(covariance, scattered=scattered)

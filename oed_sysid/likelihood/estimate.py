@@ -14,7 +14,7 @@ from scipy.special import ndtri
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.frames import frame
 from oed_sysid.errors import DataError
-from oed_sysid.likelihood.between_records import FEWEST_RECORDS, RecordScatter, Sources
+from oed_sysid.likelihood.between_records import FEWEST, RecordScatter, Sources
 from oed_sysid.likelihood.information import Information, Whiteness, whiteness
 from oed_sysid.likelihood.noise_levels import root_mean_square
 from oed_sysid.likelihood.noise_model import NoiseModel
@@ -525,7 +525,7 @@ def checked_scatter(fit: Estimate) -> RecordScatter:
     if fit.record_scatter is None:
         raise DataError(
             f"This fit of {len(fit.dataset)} records does not tell how they scatter. Fit "
-            f"{FEWEST_RECORDS} records or more by MultipleShooting, or refit without each of them "
+            f"{FEWEST} records or more by MultipleShooting, or refit without each of them "
             "by jackknife()."
         )
     return fit.record_scatter

@@ -70,17 +70,18 @@ CLOSED = 1e-8
 # With disturbance forces: the step that ends the iterations at frozen gain, and those of the exact
 # one, whose equations then serve where it led.
 FROZEN_TOLERANCE = THREE_DIGITS
-# Most steps at the exact gain.
-POLISH_STEPS = 8
-# Change of the cost that is none near the end: the rise that the frozen gradient may cause, and the
-# promised gain below which a search without a way on has arrived.
+# Most steps at the exact gain; and those with white noise before process noise is asked for, and
+# with forces of first order before a sea is: without it they do not converge.
+FIRST_STEPS = 8
+# Change of the cost that is none near the end: the rise that the frozen gradient may cause, the
+# fall over some steps that is too small to go on for, and the promised gain below which a search
+# without a way on has arrived.
 NEAR = IMMATERIAL
 # Where the frozen gradient promises what no step keeps, few trials show it.
 MOST_DAMPING = 10.0
-# Lengths that are tried there; steps after which one looks back, or the likeliest of several starts
-# goes on alone; and the fall of the cost over these that is too small to go on for, least and in
-# tolerances: its gradient leads to and fro.
-FEW, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
+# Lengths that are tried there; and steps after which one looks back, whether the gradient leads to
+# and fro, or the likeliest of several starts goes on alone.
+FEW = 3
 
 
 # -- points ------------------------------------------------------------------------
@@ -742,7 +743,7 @@ def solve_filtered(
     *,
     max_iterations: int = 40,
     tolerance: float = FROZEN_TOLERANCE,
-    polish: int = POLISH_STEPS,
+    polish: int = FIRST_STEPS,
     callback: Callable[[Progress], None] | None = None,
     begin: Iterate | None = None,
 ) -> FilteredSolution:
@@ -770,7 +771,8 @@ def solve_filtered(
         return FilteredSolution(begin, 0, "diverged")
     control = StepControl(FEW, MOST_DAMPING, NEAR, differentiated)
     descent = Descent(begin, whitened, Convergence(tolerance), control, problem.trusted)
-    fall = max(LEAST_FALL, FALL_TOLERANCES * tolerance)
+    # Of twice the log-likelihood, of which the cost is half; the tolerance is immaterial in it.
+    fall = max(0.5 * NEAR, tolerance / IMMATERIAL)
     lowest = [begin.cost]
 
     def to_and_fro(progress: Progress) -> bool:

@@ -64,7 +64,7 @@ from scipy.special import chdtri, ndtr, stdtr
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import MINIMUM_SAMPLES
-from oed_sysid.likelihood.between_records import CHANCE, FEWEST_RECORDS, WORTH_TELLING
+from oed_sysid.likelihood.between_records import CHANCE, FEWEST, WORTH_TELLING
 from oed_sysid.likelihood.covariance import Peak, clear_peaks
 from oed_sysid.likelihood.departures import (
     CLEARLY,
@@ -106,8 +106,6 @@ Judged = TypeVar("Judged", bound=Estimate)
 UNPHYSICAL, UNSEEN = 1e8, 1e4
 # A model that leaves this share of the squares about the mean explains nothing.
 BARELY = 1.0 - NEGLIGIBLE
-# Samples per unknown that are few.
-FEW = 3.0
 # What a fit that ended early asks first; with the check at hand `advised` says what it found.
 LOOK = "See what the check of the log says (check, on the command line oed-sysid check)."
 # Where positions and accelerations are measured, on either side of the origin; how an input reads
@@ -790,8 +788,10 @@ def _answers(fit: Estimate) -> tuple[np.ndarray, np.ndarray]:
 
 def _few_samples(fit: Estimate) -> Iterator[Found]:
     ratio = fit.n_observations / max(fit.n_unknowns, 1)
-    if ratio < FEW and fit.n_unknowns:
-        facts = {"n": fit.n_observations, "unknowns": fit.n_unknowns, "least": FEW}
+    # As many as degrees of freedom from which a scatter tells something.
+    least = FEWEST - 1
+    if ratio < least and fit.n_unknowns:
+        facts = {"n": fit.n_observations, "unknowns": fit.n_unknowns, "least": least}
         yield Found(ratio, facts=facts)
 
 
@@ -818,7 +818,7 @@ def _follows(fit: Estimate) -> Iterator[Found]:
     for name, part in zip(fit.model.input_names, amplitudes.T, strict=True):
         if np.ptp(part) > 1e-2 * np.max(part):
             sizes[name] = part
-    for name in fit.local_values[0] if n >= FEWEST_RECORDS and fit.local_values and sizes else ():
+    for name in fit.local_values[0] if n >= FEWEST and fit.local_values and sizes else ():
         values = np.array([local[name] for local in fit.local_values])
         if np.ptp(values) > 0:
             told = {one: float(np.corrcoef(values, size)[0, 1]) for one, size in sizes.items()}

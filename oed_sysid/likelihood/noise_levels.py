@@ -28,7 +28,7 @@ from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import BEYOND, ROUNDING, THREE_DIGITS
+from oed_sysid.runtime.constants import BEYOND, IMMATERIAL, ROUNDING, THREE_DIGITS
 
 # Lowest order of the differences in which white noise is looked for, and the share of one order's
 # level below which the next one's means that motion was seen, not noise.
@@ -277,8 +277,6 @@ def residual_levels(residuals: Sequence[np.ndarray], n_unknowns: int = 0) -> np.
 # Chance that noise as declared is taken for spikes in a data set, for a scatter of tests, or a
 # disturbance for a law.
 RARE = 1e-3
-# Share of good samples among those left out where spikes are clear (Benjamini & Hochberg 1995).
-FALSE_SHARE = 0.1
 # Robust deviations of a spike or step that is alone, or among structured residuals.
 SPIKE = 8.5
 # Spread of the departure of white noise from the median of its four neighbours, and of normal
@@ -452,14 +450,15 @@ def size_of_few(sizes: np.ndarray, surely: float, taken: int = 0) -> float:
 
     Where any of the sizes ``(n,)`` is beyond ``surely``, spikes are clear, and small ones hide
     among the noise: with ``k`` of ``n`` beyond a size ``t``, ``taken`` before included,
-    :math:`2 n \Phi(-t) \le k` :data:`FALSE_SHARE` (Benjamini & Hochberg 1995).
+    :math:`2 n \Phi(-t) \le q k`, an immaterial share :math:`q` of them are good samples
+    (Benjamini & Hochberg 1995).
     """
     if not np.any(sizes > surely):
         return surely
     ordered = np.sort(sizes)[::-1]
     found = taken + np.arange(1, len(ordered) + 1)
     chance = 2.0 * (len(ordered) + taken) * ndtr(-ordered)
-    beyond = np.flatnonzero(chance <= FALSE_SHARE * found)
+    beyond = np.flatnonzero(chance <= IMMATERIAL * found)
     return float(np.nextafter(ordered[beyond[-1]], 0.0)) if len(beyond) else surely
 
 
@@ -663,7 +662,7 @@ def repeating(masks: Sequence[np.ndarray], outputs: Sequence[np.ndarray]) -> tup
 def settled(before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> bool:
     """Whether no more samples change sides than chance marks among those marked, anyway."""
     changed = sum(int(np.sum(a != b)) for a, b in zip(before, after, strict=True))
-    return changed <= FALSE_SHARE * sum(int(part.sum()) for part in after)
+    return changed <= IMMATERIAL * sum(int(part.sum()) for part in after)
 
 
 def robust_deviation(values: np.ndarray) -> float:

@@ -37,11 +37,11 @@ from oed_sysid.compiled.filtering import (
     COLOUR_VARIANCE,
     FORCE_TIME,
     FORCE_VARIANCE,
-    FOURTH,
     SEA_DAMPING,
     SEA_PERIOD,
     SEA_PHASE,
     SEA_VARIANCE,
+    SHAPES,
     WHITE_VARIANCE,
     Disturbed,
 )
@@ -49,7 +49,6 @@ from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.disturbances import DISTURBANCE
 from oed_sysid.runtime.constants import NEGLIGIBLE, ROUNDING
 
-SHAPES = {"jonswap": FOURTH, "velocity": -1, "displacement": 1}
 # Steps of a period over which the force of a sea is held at most: a wave held over an n-th of its
 # period loses the share 1 - sinc(1/n) = pi^2/(6 n^2) of its amplitude. These are twelve; half as
 # many lose 4 %, twice as many 0.3 % and cost twice.

@@ -33,19 +33,18 @@ from itertools import compress
 import numpy as np
 from scipy.special import chdtrc, chdtri, comb
 
-from oed_sysid.compiled.filtering import FORCE_VARIANCE
+from oed_sysid.compiled.filtering import FORCE_VARIANCE, SHAPES
 from oed_sysid.data.record import Record
-from oed_sysid.likelihood.between_records import CHANCE, WORTH_TELLING
-from oed_sysid.likelihood.covariance import FEWEST
+from oed_sysid.likelihood.between_records import CHANCE, FEWEST, WORTH_TELLING
 from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.estimate import once_a_fit
 from oed_sysid.likelihood.filtered import NEXT_PERIOD, Filtered
 from oed_sysid.likelihood.gauss_newton import (
     FEW,
+    FIRST_STEPS,
     FROZEN_TOLERANCE,
     MOST_DAMPING,
     NEAR,
-    POLISH_STEPS,
     Convergence,
     Descent,
     FilteredSolution,
@@ -59,22 +58,20 @@ from oed_sysid.likelihood.gauss_newton import (
 )
 from oed_sysid.likelihood.information import autocorrelation
 from oed_sysid.likelihood.noise_levels import credible_levels
-from oed_sysid.likelihood.noise_model import SHAPES, STEPS_OF_PERIOD, NoiseModel, Sea
+from oed_sysid.likelihood.noise_model import STEPS_OF_PERIOD, NoiseModel, Sea
 from oed_sysid.likelihood.score_test import TIMES, Scored, ScoreTest, Setting, Start, moved, posed
 from oed_sysid.likelihood.shooting import Point
 from oed_sysid.likelihood.smoother import smoothable
-from oed_sysid.runtime.constants import BEYOND
+from oed_sysid.runtime.constants import BEYOND, RUNAWAY
 
 # Gain in twice the log-likelihood from which another kind of noise is worth its freedom; twice that
 # of a sea, whose choice among periods and shapes may be worth two or three nats, and of one wave in
 # several places, each of which adds a phase and a share. Below, two starts are one.
 WORTH = 10.0
-# Decades above these levels that are climbed for the likeliest, and the stride of the climb: where
-# a model hardly damps what disturbs it, records tell of levels far below those that act.
-DECADES, STRIDE = 21, 3
-# Steps with white noise before process noise is asked for, and with forces of first order before a
-# sea is: without it they do not converge.
-FIRST_STEPS = 8
+# Decades above these levels that are climbed for the likeliest, where all has run away, and the
+# stride of the climb: where a model hardly damps what disturbs it, records tell of levels far below
+# those that act.
+DECADES, STRIDE = int(np.log10(RUNAWAY)), 3
 # Probability, where no sea acts, of a look at one output that leads to the test of a period: at a
 # tenth of it a weak sea of few waves is missed in two of ten records, doubled the test is asked at
 # half of the periods.
@@ -118,7 +115,7 @@ def fit_disturbed(
     starts: Sequence[Start],
     test: ScoreTest,
     *,
-    polish: int = POLISH_STEPS,
+    polish: int = FIRST_STEPS,
     progress: Callable[[Progress], None] | None = None,
 ) -> FilteredSolution:
     """Estimate parameters, start states and noise together.

@@ -15,13 +15,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from oed_sysid.compiled.filtering import narrow_band, rates
+from oed_sysid.compiled.filtering import SHAPES, narrow_band, rates
 from oed_sysid.data.dataset import Record
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import Piecewise
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.disturbances import chosen_places, with_disturbance_inputs
-from oed_sysid.likelihood.noise_model import SHAPES, NoiseModel, Sea
+from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.physics.model import Model
 
 
