@@ -20,7 +20,7 @@ from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimate import Posterior, Status
 from oed_sysid.likelihood.estimator import check_choice
 from oed_sysid.likelihood.information import autocorrelation
-from oed_sysid.runtime.constants import RANK_TOLERANCE
+from oed_sysid.runtime.constants import NEGLIGIBLE, RANK_TOLERANCE
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +95,6 @@ def effective_draws(draws: np.ndarray) -> np.ndarray:
 
 
 DRAWS = ("joint", "coordinate")
-
-
-# Between-chain over within-chain spread up to which chains count as mixed (Vehtari et al. 2021).
-R_HAT_LIMIT = 1.01
 
 
 def sample_posterior(
@@ -260,7 +256,9 @@ class GibbsRegression(RegressionEstimator):
         found = each_equation(rows, solve)
         worst = max(r_hat, key=lambda name: r_hat[name])
         status = CONVERGED
-        if r_hat[worst] > R_HAT_LIMIT:
+        # Chains count as mixed whose spread is that within each to a hundredth (Vehtari et al.
+        # 2021).
+        if r_hat[worst] > 1.0 + NEGLIGIBLE:
             status = Status(
                 "iterations",
                 f"the chains disagree in {worst} (R-hat {r_hat[worst]:.3f}). Raise "

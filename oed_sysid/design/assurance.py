@@ -70,15 +70,13 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.constants import IMMATERIAL
 from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
 from oed_sysid.runtime.parallel import run_cells
 
 NO_LIMIT = "no limit on the motion was given"
 # Ranges of the motion that are stated leave out this share of the vehicles at either end.
 _TAIL = float(ndtr(-TWO_SIDED_95))
-# A run is stopped this part of the way from the start before a limit, or, of the width of the
-# stated range, beyond that of an attitude, depth or speed without a limit.
-_EARLIER = 0.1
 # What a crew watches: attitude, depth, speed.
 WATCHED = ("phi", "theta", "z", "u")
 # Relative error up to which a bound under disturbance forces is taken as it is, and a coefficient
@@ -385,10 +383,10 @@ def _rules(
         if name in limited:
             first = experiment.initial.get(name, 0.0)
             # From the start towards the limit, so that the crew has time before it is reached.
-            lower, upper = (first + (1 - _EARLIER) * (bound - first) for bound in limited[name])
+            lower, upper = (first + (1 - IMMATERIAL) * (bound - first) for bound in limited[name])
         else:
             low, high = ranges[name]
-            room = _EARLIER * max(high - low, 1e-9)
+            room = IMMATERIAL * max(high - low, 1e-9)
             lower, upper = low - room, high + room
         column = ends[:, list(ranges).index(name)]
         outside = (column[:, 0] < lower) | (column[:, 1] > upper)

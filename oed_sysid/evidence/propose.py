@@ -47,6 +47,7 @@ from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.table import POLYNOMIAL, factor_of
+from oed_sysid.runtime.constants import MATERIAL
 from oed_sysid.text import dimensions, expressions, notation
 from oed_sysid.text.units import Dimension, dimension
 
@@ -343,10 +344,6 @@ def product_text(factors: Factors) -> str:
     return "*".join(texts)
 
 
-# Share of what the best term explains from which a rival, seen from it, is refitted.
-RIVAL = 0.8
-
-
 @dataclass(frozen=True, eq=False)
 class Proposal:
     """One term that would explain the records.
@@ -425,11 +422,12 @@ def propose(study: Study, fit: FilteredSolution, *, n_refits: int = N_REFITS) ->
         again = let_in(fit, study.unit, best)
         second = TermScores(*again, first.signals)
         own = next((s.statistic for s in second.scores if s.term == found[0].term), 0.0)
+        # Less by a material share of the statistic is no rival.
         present = {proposal.term for proposal in found}
         rivals = [
             one
             for one in second.representatives(n_refits)
-            if one.statistic > RIVAL * own and one.term not in present
+            if one.statistic > (1.0 - MATERIAL) * own and one.term not in present
         ]
         found += _refitted(study, fit, first.signals, rivals, needed, best)
     return Proposals(tuple(sorted(found, key=lambda p: -p.evidence)), needed)
