@@ -343,6 +343,14 @@ def fitted(model: Model, data: Dataset) -> Fit:
     return MultipleShooting(noise=NOISE_INPUTS, disturbances="none").fit(model, data)
 
 
+def test_series_of_as_many_nodes_as_an_expression_may_hold() -> None:
+    """The longest series becomes a model; a longer one is refused with its number of nodes."""
+    longest = UnknownInput("trim", "rad", duration=140.0, spacing=1.0, scale=1.0)
+    assert len((BOAT + longest).effects[-1].parameters) == 141
+    with pytest.raises(ModelError, match="142 nodes, more than 140"):
+        UnknownInput("trim", "rad", duration=141.0, spacing=1.0, scale=1.0)
+
+
 def test_series_and_parameters_are_recovered(data: Dataset) -> None:
     """The unlogged trim comes back within a tenth of its swing, and the parameters are right."""
     fit = fitted(BOAT + UnknownInput("trim", "rad", **SERIES), data)
