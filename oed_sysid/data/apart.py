@@ -23,11 +23,12 @@ from oed_sysid.data.log import Log, Series
 from oed_sysid.errors import DataError
 from oed_sysid.runtime.constants import TABLE_BYTES
 
-# Until a parser has read a file, at least, and more per byte: several times what slow ones take,
-# since a machine may have other work.
-SECONDS, SECONDS_PER_BYTE = 60.0, 3e-5
+# Of computing: at least, and more per byte of the file.
+SECONDS, SECONDS_PER_BYTE = 10.0, 5e-6
 # Libraries of tables take tens of bytes for each of a compressed file.
 MEMORY_PER_BYTE = 30
+# Wall time over computing time: a machine may have other work.
+PATIENCE = 6.0
 # Numbers of one log.
 MOST_NUMBERS = TABLE_BYTES // np.dtype(float).itemsize
 
@@ -61,7 +62,7 @@ def read_apart(place: Path, words: str, advice: str) -> Log:
         target = Path(folder) / "log.npz"
         command = [sys.executable, "-c", _CHILD, json.dumps(sys.path), str(place), str(target)]
         environment = os.environ | {
-            "OED_SYSID_MEMORY": str(memory),
+            "OED_SYSID_LIMITS": f"{seconds:.0f} {memory}",
             "OMP_NUM_THREADS": "1",
             "OPENBLAS_NUM_THREADS": "1",  # each thread reserves memory
         }
@@ -72,12 +73,12 @@ def read_apart(place: Path, words: str, advice: str) -> Log:
                 env=environment,
                 stdin=subprocess.DEVNULL,
                 capture_output=True,
-                timeout=seconds,
+                timeout=PATIENCE * seconds,
                 check=False,
             )
         except subprocess.TimeoutExpired:
             raise DataError(
-                f"{damaged}: its parser did not end after {seconds:.0f} s. {advice}"
+                f"{damaged}: no end after {PATIENCE * seconds:.0f} s. {advice}"
             ) from None
         if child.returncode == 0 and target.exists():
             return _loaded(place, target)
@@ -85,7 +86,9 @@ def read_apart(place: Path, words: str, advice: str) -> Log:
         if told.exists():
             raise DataError(told.read_text("utf-8"))
         ended = f"ended with {child.returncode}"
-        if child.returncode < 0:
+        if child.returncode == -getattr(signal, "SIGXCPU", 0):
+            ended = f"did not end after {seconds:.0f} s"
+        elif child.returncode < 0:
             ended = f"crashed ({signal.Signals(-child.returncode).name})"
         last = child.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2][:100]
         raise DataError(f"{damaged}: its parser {ended}{f' ({last})' if last else ''}. {advice}")
@@ -121,13 +124,14 @@ def guarded(reader: Callable[[Path], Log], place: Path, words: str, advice: str)
 
 
 def serve(read: Callable[[Path], Log], place: Path, target: Path) -> None:
-    """Read a log in the memory that the environment grants; leave it, or a sentence, in files."""
-    memory = int(os.environ["OED_SYSID_MEMORY"])
+    """Read a log within the limits of the environment and leave it, or a sentence, in files."""
+    seconds, memory = map(int, os.environ["OED_SYSID_LIMITS"].split())
     try:
         import resource
     except ImportError:  # Windows: the parent's clock is the only limit
         pass
     else:
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     try:

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from oed_sysid.data.record import MINIMUM_SAMPLES
 from oed_sysid.errors import DataError
 from oed_sysid.experiments.base import FloatArray, Numbers
 from oed_sysid.runtime.constants import BEYOND, IMMATERIAL, MATERIAL
 from oed_sysid.runtime.display import Report, as_dict, as_text
 
+_FEWEST_HELD = 3  # samples that tell a level or a slope
 _STEADY_ARC = math.pi / 2  # least heading change from which a steady turn is measured [rad]
 
 
@@ -493,7 +493,7 @@ def _leg(
     side = math.copysign(1.0, leg[0])
     near = max(BEYOND * noise, IMMATERIAL * float(np.max(np.abs(leg))))
     held = np.abs(leg - side * np.quantile(side * leg, 0.75, method="higher")) <= near
-    few = held.sum() < MINIMUM_SAMPLES
+    few = held.sum() < _FEWEST_HELD
     error = math.nan if few else 1.25 * float(np.std(leg[held])) / math.sqrt(held.sum())
     last = max(begin - 1, 0)  # the rudder as it was before
     while last and abs(rudder[last] - before) > near:
@@ -505,7 +505,7 @@ def _rate(
     times: FloatArray, rudder: FloatArray, ramps: Sequence[NDArray[np.intp]], moves: FloatArray
 ) -> tuple[float, float]:
     """Rate of the rudder on its ramps and its standard error; without ramps it jumps a sample."""
-    telling = [ramp for ramp in ramps if len(ramp) >= MINIMUM_SAMPLES]
+    telling = [ramp for ramp in ramps if len(ramp) >= _FEWEST_HELD]
     slopes = [abs(float(np.polyfit(times[ramp], rudder[ramp], 1)[0])) for ramp in telling]
     if not slopes:
         return float(np.max(moves / np.median(np.diff(times)))), 0.0

@@ -62,16 +62,15 @@ from oed_sysid.likelihood.noise_model import STEPS_OF_PERIOD, NoiseModel, Sea
 from oed_sysid.likelihood.score_test import TIMES, Scored, ScoreTest, Setting, Start, moved, posed
 from oed_sysid.likelihood.shooting import Point
 from oed_sysid.likelihood.smoother import smoothable
-from oed_sysid.runtime.constants import BEYOND, RUNAWAY
+from oed_sysid.runtime.constants import BEYOND
 
 # Gain in twice the log-likelihood from which another kind of noise is worth its freedom; twice that
 # of a sea, whose choice among periods and shapes may be worth two or three nats, and of one wave in
 # several places, each of which adds a phase and a share. Below, two starts are one.
 WORTH = 10.0
-# Decades above these levels that are climbed for the likeliest, where all has run away, and the
-# stride of the climb: where a model hardly damps what disturbs it, records tell of levels far below
-# those that act.
-DECADES, STRIDE = int(np.log10(RUNAWAY)), 3
+# Decades above these levels that are climbed for the likeliest, and the stride of the climb: where
+# a model hardly damps what disturbs it, records tell of levels far below those that act.
+DECADES, STRIDE = 21, 3
 # Probability, where no sea acts, of a look at one output that leads to the test of a period: at a
 # tenth of it a weak sea of few waves is missed in two of ten records, doubled the test is asked at
 # half of the periods.
