@@ -39,7 +39,7 @@ from oed_sysid.likelihood.laws import Law
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import eliminate
 from oed_sysid.likelihood.random_forces import begun
-from oed_sysid.physics import actuator_lag
+from oed_sysid.physics import actuator_delay, actuator_lag
 from oed_sysid.runtime.journal import Journal
 
 TURNING = {"a_v": 0.12, "a_r": 3.0, "a_d": 0.25, "c_v": 0.004, "c_r": 0.16, "c_d": 0.022}
@@ -152,6 +152,27 @@ def test_forces_are_not_left_out_for_nothing(
     assert not found.added
     assert found.fit.objective < pushed.objective - 200.0
     assert found.fit.noise.level("force v")[0] == base.noise.level("force v")[0]
+
+
+def test_what_whole_runs_refuse_is_not_asked_effect_by_effect(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Whole runs less than twice as good are no reason to leave out forces, whatever is needed."""
+    push = Force("push", {"v": "E_push"}, (Parameter("E_push", 0.0, "m/s^2", scale=0.1),))
+    data = turns(3, 0.1, gusts=0.3)
+    study, base = Study.begin(SHIP, data, None, (push,), known_noise=False)
+    calm, fit = Study.begin(SHIP, data, None, (push,), known_noise=False, disturbances="none")
+    ranking, added = rank(study, base, ()), Added(push, Claim("push", 20.0, np.nan, 10.0), ())
+    state, asked = Standing(calm, (added,), fit, (fit,)), list[Standing]()
+    monkeypatch.setattr(Search, "ended", lambda *given: (state, ranking, None))
+    monkeypatch.setattr(search_module, "eliminated", lambda *given: asked.append(given[0]))
+    end = Ended(Standing(study, (), base, (base,)), ranking, None, Remains(500.0, None))
+    looking = Search(1, lambda text: None, Journal(), [], None, terms=False)
+    assert 1.1 < study.own_error(base, data) / calm.own_error(fit, data) < 2.0
+    found = looking.calmer(end, calm, fit).state
+    assert found.fit is base
+    assert [one.name for one in found.decisions] == ["push"]
+    assert not asked
 
 
 ROLLING = small(
@@ -317,3 +338,35 @@ def test_usual_physics_is_asked_before_a_polynomial() -> None:
     assert [step.added for step in found.steps] == ["friction_v"]
     assert found.remains.kind == "adequate"
     assert 10.0 * found.fit.values["E_friction_v"] == pytest.approx(1.5, rel=0.05)
+
+
+def test_a_place_to_begin_waits_for_its_integration_step(
+    lagging: tuple[Study, FilteredSolution, FilteredSolution, Ranking],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Only a search whose estimates are handed on resolves them after every addition."""
+    study, base, _, ranking = lagging
+    (lag,) = ranking.refits
+    claimed = Claim(lag.name, 20.0, 1.0, 10.0)
+    state, steps = Standing(study, (), base, (base,)), list[float]()
+
+    def resolved(self: Study, fit: FilteredSolution) -> FilteredSolution:
+        steps.append(fit.problem.model.step)
+        return fit
+
+    monkeypatch.setattr(Study, "resolved", resolved)
+    first = with_refit(replace(state, provisional=True), lag, [claimed], ranking)
+    assert not steps
+    assert with_refit(state, lag, [claimed], ranking).fit.objective == first.fit.objective
+    assert steps == [0.5]
+
+
+def test_no_estimate_is_coarser_than_the_filter_of_its_study() -> None:
+    """A filter made for a finer step holds the registers of a delay that go with it."""
+    late = actuator_delay("late", "delta", max_delay=2.0, step=0.5, scale=0.5)
+    study, base = Study.begin(SHIP, turns(5, 0.05), turns(6, 0.05), (late,), known_noise=False)
+    finer = replace(study, kernel=study.kernel_by(0.25))
+    found = finer.estimate((late,), base.values, base, max_iterations=2)
+    assert found is not None
+    assert found.problem.model.step == 0.25
+    assert finer.own_error(found) == pytest.approx(study.own_error(base), rel=0.05)

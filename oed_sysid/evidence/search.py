@@ -63,6 +63,9 @@ class Standing:
         Everything that was asked, in this order.
     replaced, dropped : tuple of str
         Known effects whose place a term took; effects that do not come back.
+    provisional : bool
+        Whether it is only a place to begin, which may depend on the integration step and holds
+        effects that others would do better in their place.
     """
 
     study: Study
@@ -72,6 +75,7 @@ class Standing:
     decisions: tuple[Claim, ...] = ()
     replaced: tuple[str, ...] = ()
     dropped: tuple[str, ...] = ()
+    provisional: bool = False
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -219,7 +223,8 @@ class Search:
         follow motion or commands, which no disturbance does, any better runs of no more effects do.
         Nothing found is no reason to leave out forces that the records ask for.
         """
-        calm, first, last = self.ended(Standing(study, (), base, (base,)))
+        calm, first, last = self.ended(Standing(study, (), base, (base,), provisional=True))
+        calm = replace(calm, provisional=False)  # what is taken of it is resolved and exchanged
         found, present = end.state.study, end.state.fit
         noise = found.loosened(calm.fit.noise)
         fit = calm.added and found.estimate(calm.effects, calm.fit.values, calm.fit, noise=noise)
@@ -235,15 +240,27 @@ class Search:
                 "Disturbance forces had grown over what is missing: it was searched for without "
                 "them, and is likelier with them, too."
             )
+            fit = found.kept(fit, found.resolved(fit))
             state = asked_again(replace(state, study=found, fit=fit, path=(*calm.path, fit)))
             return self.beyond(Ended(state, first, last, self._left(state)))
-        state = eliminated(state, found, noise, TWOFOLD)
+        refused = replace(end, state=replace(end.state, decisions=state.decisions))
         records = study.train if study.validation is None else study.validation
-        here, there = found.own_error(present, records), study.own_error(state.fit, records)
+        here = found.own_error(present, records)
+
+        def better(one: Standing, by: float) -> bool:
+            return by * study.own_error(one.fit, records) < here
+
+        # No effect was added that made whole runs worse, so that none is left out to better them.
+        if not better(state, 1.0 if end.left.follows else TWOFOLD):
+            return refused
+        state = eliminated(asked_again(state), found, noise, TWOFOLD)
         # Process noise that follows motion or commands is none: any better runs of no more effects.
         fewer = end.left.follows and len(state.added) <= len(end.state.added)
-        if not (state.added and (1.0 if fewer else TWOFOLD) * there < here):
-            return replace(end, state=replace(end.state, decisions=state.decisions))
+        if not (state.added and better(state, 1.0 if fewer else TWOFOLD)):
+            return refused
+        fit = study.kept(state.fit, study.resolved(state.fit))
+        state = replace(state, fit=fit, path=(*state.path, fit))
+        there = study.own_error(fit, records)
         self.notes.append(
             "Disturbance forces had grown over what is missing: whole runs of what was found "
             f"without them are {here / there:.2g} times better."
@@ -298,7 +315,8 @@ class Search:
             state = once(f"with {refit.name}", work)
             yield state, ranking
             tell("asking again what was added")
-            state = once("asked again", partial(asked_again, state))
+            asking = eliminated if state.provisional else asked_again
+            state = once("asked again", partial(asking, state))
             yield state, ranking
 
 
@@ -457,7 +475,8 @@ def with_refit(
     study = state.study
     decided = next(one for one in claims if one.name == refit.name)
     # A better likelihood elsewhere may be one that the validation records refuse.
-    fit = study.kept(refit.fit, study.resolved(not_astray(study, study.settle(refit.fit))))
+    fit = not_astray(study, study.settle(refit.fit))
+    fit = study.kept(refit.fit, fit if state.provisional else study.resolved(fit))
     single = len(refit.effects) == 1
     added = [
         Added(effect, decided, ranking.claimed_with(refit, claims) if single else (effect.name,))

@@ -299,7 +299,8 @@ class Study:
         assert noise is not None
         levels = self.levels(noise, self.train)
         levels = levels if update_noise else levels.held()
-        model = self.model(effects, values, step)
+        # A filter made for a finer step keeps the memory of delays that goes with it.
+        model = self.model(effects, values, min(step, self.kernel.model.step))
         kernel = self.kernel_by(model.step, narrow=not effects)
         problem = Filtered(model, self.train, levels, kernel=kernel)
         return _solved(problem, start, max_iterations)

@@ -453,8 +453,8 @@ def coulomb_friction(name: str, axis: str, velocity: str, *, unit: str = "N",
                      scale: float = 1.0, value: float = 0.0) -> table.Derived:
     r"""Dry friction, :math:`-E\tanh(v/v_0)`; ``smooth`` is :math:`v_0`.
 
-    With a ``span`` above one :math:`v_0` is estimated, between ``smooth`` divided by it and times it:
-    nobody knows how fast a friction sets in.
+    With a ``span`` above one :math:`v_0` is estimated, between ``smooth`` divided by it and times
+    it: nobody knows how fast a friction sets in.
 
     >>> coulomb_friction("dry", "X", "v").terms
     {'X': '-E_dry*tanh(v/v0_dry)'}
