@@ -33,6 +33,7 @@ from oed_sysid.likelihood.random_forces import periods, with_sea
 from oed_sysid.physics import Effect
 from oed_sysid.physics.table import POLYNOMIAL
 from oed_sysid.physics.variants import BY_RECORD
+from oed_sysid.runtime.constants import TOLD_APART
 from oed_sysid.runtime.journal import Journal
 
 Done = TypeVar("Done")
@@ -650,8 +651,10 @@ def with_term(
     option, proposals = min(options, key=lambda pair: cost(pair[0]))
     gone = [one for one in state.added if one.effect.name not in option.names]
     spared = sum(state.needed(one.effect) for one in gone)
+    # Of what explains alike, physics that has a name leads a term.
+    needed = proposals.needed + (TOLD_APART if gone else 0.0)
     *others, term = option.added
-    decided = claim(option.study, state.fit, option.fit, [term.effect], proposals.needed, spared)
+    decided = claim(option.study, state.fit, option.fit, [term.effect], needed, spared)
     if gone:
         names = " + ".join(one.effect.name for one in gone)
         decided = replace(decided, name=f"{decided.name} in the place of {names}")
