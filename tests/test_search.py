@@ -370,3 +370,23 @@ def test_no_estimate_is_coarser_than_the_filter_of_its_study() -> None:
     assert found is not None
     assert found.problem.model.step == 0.25
     assert finer.own_error(found) == pytest.approx(study.own_error(base), rel=0.05)
+
+
+def test_both_of_a_pair_are_asked_again(
+    lagging: tuple[Study, FilteredSolution, FilteredSolution, Ranking],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of two effects that were claimed as one, either may do without the other."""
+    study, base, _, ranking = lagging
+    (lag,) = ranking.refits
+    first, second = (replace(lag.effects[0], name=name) for name in ("first", "second"))
+    asked = list[str]()
+    monkeypatch.setattr(
+        search_module, "_spared", lambda state, there, one, rise: asked.append(one.effect.name)
+    )
+    single = [Added(one, Claim(one.name, 20.0, 1.0, 10.0), (one.name,)) for one in (first, second)]
+    eliminated(Standing(study, tuple(single), base, (base,)))
+    assert asked == ["first"]
+    both = Claim("first + second", 20.0, 1.0, 10.0)
+    eliminated(Standing(study, tuple(replace(one, claim=both) for one in single), base, (base,)))
+    assert asked == ["first", "first", "second"]

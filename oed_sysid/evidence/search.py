@@ -94,6 +94,12 @@ class Standing:
         gone = self.names | set(self.dropped)
         return [e for e in self.study.candidates if e.name not in gone]
 
+    @property
+    def earlier(self) -> tuple[Added, ...]:
+        """What was added but the last; of a pair, claimed as one, both may not be needed."""
+        pair = len(self.added) > 1 and self.added[-1].claim is self.added[-2].claim
+        return self.added if pair else self.added[:-1]
+
     def needed(self, effect: Effect) -> float:
         """Threshold of an effect, were it among the candidates left."""
         return threshold(len(self.left) + 1, len(effect.parameters))
@@ -523,7 +529,7 @@ def eliminated(
     Parameters
     ----------
     state : Standing
-        Its last effect stays: it was claimed just now.
+        Its last effect stays, where it was claimed on its own just now.
     judge : Study, optional
         Where the cost is asked, in place of the state's own study: all samples of records that were
         thinned, process noise beside effects that were found without. There every effect may go.
@@ -540,7 +546,7 @@ def eliminated(
         if fit is None:
             return state
         there = replace(state, study=judge, fit=fit)
-    while asked := state.added[:-1] if judge is None else state.added:
+    while asked := state.earlier if judge is None else state.added:
         spare = [(one, *fits) for one in asked if (fits := _spared(state, there, one, rise))]
         if not spare:
             break
