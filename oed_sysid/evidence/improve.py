@@ -85,7 +85,8 @@ def improve(
     max_effects : int
         Most effects to add; a proposed term may come beside them.
     terms : bool
-        Whether a term that no candidate holds is sought where the candidates leave more than noise.
+        Whether, where the candidates leave structure, usual effects that were not named are asked,
+        and where more than noise is left a term that no candidate holds.
     progress : callable, optional
         Told in words what is being done, and of every effect when it is confirmed.
     journal : Journal, optional
