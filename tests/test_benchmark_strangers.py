@@ -77,9 +77,10 @@ def test_the_page_has_the_rates_of_the_store() -> None:
 
 
 @pytest.mark.slow
-def test_terms_are_asked_where_only_a_logged_input_is_noisy() -> None:
-    """A case in which noise of the input stands in the place of every force comes to a verdict."""
-    _, model, (*train, last), offered = strangers.drawn(20261129, 13)
+def test_a_lag_that_nobody_named_is_found_among_the_usual_effects() -> None:
+    """Without it noise of the input would stand in the place of every force."""
+    entry, model, (*train, last), offered = strangers.drawn(20261129, 13)
     found = improve(model, Dataset(tuple(train)), Dataset((last,)), candidates=offered)
-    assert all(place.startswith("actuator") for place in found.fit.noise.places)
-    assert found.remains.kind
+    (lag,), (true,) = (step.effect for step in found.steps), entry["sizes"].values()
+    assert found.fit.values[lag.parameters[0].name] == pytest.approx(true, rel=0.1)
+    assert found.remains.kind == "adequate"

@@ -29,7 +29,6 @@ from kinematic_logs import (
 from marks import slow
 from motion import UNITS, outputs, small, states
 from scipy.fft import dct
-from scipy.linalg import expm
 from scipy.signal import lfilter
 from simple_models import nomoto
 from yaw_vehicle import TRUE, yaw_data, yaw_model
@@ -906,27 +905,6 @@ def test_an_offset_of_an_input_is_told_and_is_no_delay(seed: int) -> None:
     assert one.size == pytest.approx(0.05, abs=0.0025)
 
 
-@pytest.mark.parametrize(
-    ("kind", "size", "seconds"), [("step", 0.05, 60.0), *slow(("burst", 0.1, 3.0))]
-)
-def test_a_zero_of_an_input_that_jumps_is_told_with_its_moment(
-    kind: str, size: float, seconds: float
-) -> None:
-    """A rudder that is off from the middle of a record on, for good or for a moment."""
-
-    def off(angle: np.ndarray) -> np.ndarray:
-        since = 120.0 * np.arange(angle.size) / (angle.size - 1) - 60.0
-        return angle + size * ((since >= 0.0) & (since < seconds))
-
-    found = check(patrol_boat.sailings(0, off), patrol_boat.BOAT).serious
-    assert [(one.kind, one.signals) for one in found] == [(kind, ("rudder",))] * 2
-    for one in found:
-        # Of a moment its length is uncertain as well.
-        assert one.size == pytest.approx(size, rel=0.05 if kind == "step" else 0.25)
-        at = float(one.says.split("t = ")[1].split(" s")[0])
-        assert at == pytest.approx(60.0, abs=1.0)
-
-
 def twice_lost(angle: np.ndarray) -> np.ndarray:
     """The angles with two drop-outs of four samples."""
     lost = np.isin(np.arange(angle.size), [250, 251, 252, 253, 400, 401, 402, 403])
@@ -1292,42 +1270,3 @@ def test_moments_are_not_told_by_a_speed_that_is_smoothed_from_positions() -> No
     assert asked.state == "not tested"
     assert asked.says.startswith("v ")
     assert not found.suspect
-
-
-def held_roll(step: float, factor: float, seed: int) -> LogCheck:
-    """The check of a roll of 3.8 s, its command held from sample to sample, ``p`` times a factor.
-
-    By the exact solution over each step, :math:`x_{k+1} = e^{Ah} x_k + (1 - e^{Ah}) (c_k, 0)`.
-    """
-    known = {"damping": 0.55, "stiffness": 2.7}
-    model = Model(
-        "roll", (State("phi", "rad"), State("p", "rad/s")), (),
-        (Output("phi", "rad"), Output("p", "rad/s")),
-        {"phi": "p", "p": "-damping*p - stiffness*phi"},
-        parameters=tuple(Parameter(name, 0.9 * value) for name, value in known.items()),
-    )  # fmt: skip
-    rng = np.random.default_rng(seed)
-    times = np.arange(420) * step
-    moves = expm(step * np.array([[0.0, 1.0], [-known["stiffness"], -known["damping"]]]))
-    phases, rows = rng.uniform(0.0, 2.0 * np.pi, 6), np.zeros((420, 2))
-    for k, t in enumerate(times[:-1]):
-        command = 0.02 * np.sin(2.0 * np.pi * np.arange(1, 7) * t / 45.0 + phases).sum()
-        rest = np.array([command, 0.0])
-        rows[k + 1] = rest + moves @ (rows[k] - rest)
-    rows[:, 1] *= factor
-    noisy = rows + 0.001 * rng.standard_normal(rows.shape)
-    return check(Dataset((Record("r", times, np.zeros((420, 0)), noisy, model.channels),)), model)
-
-
-def test_what_a_vehicle_does_between_samples_is_no_scale_of_its_rate() -> None:
-    """A rate that is sampled three times a natural period is of no wrong scale; finely it is."""
-    for seed in range(3):
-        found = held_roll(1.2, 1.0, seed)
-        assert not found.findings
-        scale = next(one for one in found.judged if (one.fault, one.signal) == ("scale", "p"))
-        # Straight lines miss (1.2 s x 1.56 rad/s)^2 / 12, 29 %; what curves show of it is less.
-        assert scale.state == "tested"
-        assert 0.3 < 0.01 * float(scale.says.removesuffix(" %")) < 1.0
-        (one,) = held_roll(0.2, 0.95, seed).findings
-        assert (one.kind, one.signals) == ("scale", ("p",))
-        assert one.size == pytest.approx(-0.05, abs=0.015)

@@ -44,7 +44,6 @@ from oed_sysid.evidence.inputs import between_runs, input_findings, scaled_input
 from oed_sysid.evidence.readings import Evidence, diagnosed
 from oed_sysid.evidence.relations import (
     Relation,
-    answering,
     names_of,
     relations,
     spare_signals,
@@ -449,9 +448,7 @@ def _equations(
     spare = everywhere - set(dataset.channels.output_names)
     missing = set.intersection(*(set(record.missing_outputs) for record in dataset))
     if model is not None:
-        whole = {n: np.concatenate([t.values[n] for t in traces]) for n in everywhere}
-        usual = {n: float(np.nanmean(series)) for n, series in whole.items()}
-        return tuple(answering(relations(model, spare, missing), model, usual))
+        return relations(model, spare, missing)
     return tuple(standard([o for o in dataset.channels.outputs if o.name not in missing], spare))
 
 

@@ -481,7 +481,7 @@ def contrasts(
         target, zero = trace.values[relation.target], np.zeros(trace.times.size)
         # Residual, left side, sampling, candidates, what begins anywhere: each a left side less an
         # integral.
-        sampled = relation.sampled(trace.times, motion.raw) if relation.is_rate else zero
+        sampled = relation.sampled(trace.times, right) if relation.is_rate else zero
         pairs = [(target, right), (target, zero), (sampled, zero)]
         for shape in shapes.values():
             own = {n: shape[n] for n in slopes.keys() & shape.keys()}
@@ -873,8 +873,9 @@ class System:
 
     def able(self, chosen: Sequence[int], size: np.ndarray, std: np.ndarray) -> np.ndarray:
         """Which candidates are of a size that matters and that such faults have."""
+        least = self.of("material") + 1.5 * std**2 * self.doubt
         own = self._own(size)
-        result = (own >= self.least(std)) & (own <= self.of("largest"))
+        result = (own >= least) & (own <= self.of("largest"))
         result[list(chosen)] = False
         return result
 
@@ -904,12 +905,8 @@ class System:
     def visible(self, chosen: Sequence[int]) -> list[tuple[Candidate, float]]:
         """Every candidate with the least size that would be seen beside some."""
         error = self.beside(chosen)[2]
-        told = np.sqrt(self.limits) * np.where(error > 0.0, error, np.inf)
-        return [*zip(self.faults, np.maximum(told, self.least(error)).tolist(), strict=True)]
-
-    def least(self, std: np.ndarray) -> np.ndarray:
-        """Least sizes that matter, and that noise in a regressor or the sampling does not make."""
-        return self.of("material") + 1.5 * std**2 * self.doubt
+        least = np.sqrt(self.limits) * np.where(error > 0.0, error, np.inf)
+        return [*zip(self.faults, least.tolist(), strict=True)]
 
     def anywhere(self, chosen: Sequence[int]) -> list[tuple[Candidate, float]]:
         """What may begin at any place, with the size that would be seen at the median of them."""

@@ -73,7 +73,7 @@ from oed_sysid.text.expressions import names as names_in
 # A declared prior is not trusted beyond this share of its mean: nominal physics lacks as much.
 LEAST_PRIOR = 0.25
 # What is asked of an input.
-ASKED = ("sign", "unit", "bias", "scale", "delay", "step", "lost")
+ASKED = ("sign", "unit", "bias", "scale", "delay", "lost")
 # Exact coincidences that no measured input has; at a limit an actuator stays rightly.
 REPEATED = ("held", "frozen", "dropouts")
 
@@ -96,7 +96,7 @@ class Nominal(Relation):
         steps = np.diff(times)[:, None] * columns[:-1]
         return np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(steps, axis=0)])
 
-    def sampled(self, times: np.ndarray, values: Mapping[str, np.ndarray]) -> np.ndarray:
+    def sampled(self, times: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """Nothing: rates are means over the steps, ``(n_times,)``."""
         return np.zeros(times.size)
 
@@ -424,19 +424,16 @@ def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question
     common, local, single = list[Candidate](), list[Candidate](), list[Candidate]()
     for name in moving:
         size = max(float(np.nanmax(np.abs(t.values[name]))) for t in traces)
-        bias = Candidate("bias", (name,), moving[name], 0.3 * size, NEGLIGIBLE * size)
-        common.append(bias)
+        common.append(Candidate("bias", (name,), moving[name], 0.3 * size, NEGLIGIBLE * size))
         lost = Candidate("lost", (name,), "1", 1.0, 0.5, rare=RARER)
         common.append(replace(lost, material=NEGLIGIBLE, rare=0.0))
         if timed:
             common.append(Candidate("delay", (name,), "s", late, traces[0].step))
             common.append(Candidate("lag", (name,), "s", late, traces[0].step, positive=True))
         single += [replace(lost, record=t.name) for t in traces]
-        # A zero that jumps is rarer than a force that sets in: two equations tell them.
-        local += [lost, replace(bias, kind="step", rare=RARER)]
+        local.append(lost)
     for name in (one.target for one in equations):
-        # A force that sets in is as large as those that move the vehicle.
-        usual = max(float(np.nanstd(np.gradient(t.values[name], t.times))) for t in traces) + 1e-12
+        usual = max(float(np.nanstd(t.values[name])) for t in traces) / length + 1e-12
         local.append(Candidate("drift", (name,), "", usual, NEGLIGIBLE * usual))
     alone = tuple(single) if len(traces) > 1 else ()
     given = tuple(_given(traces, equations, model, length))

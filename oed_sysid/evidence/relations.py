@@ -26,21 +26,19 @@ from __future__ import annotations
 import contextlib
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from oed_sysid.compiled.graph import build
 from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.record import Record, unwrapped
 from oed_sysid.errors import DataError
 from oed_sysid.likelihood.start_guess import needed_by, touched
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import THREE_DIGITS
 from oed_sysid.text import expressions
 from oed_sysid.text.csv_table import Table, read_table
 from oed_sysid.text.units import parse_header, to_si
@@ -73,9 +71,6 @@ class Relation:
         Signals of the right side whose errors are asked; all if not given.
     driven : tuple of str
         Those that may lose their effect: none of kinematics.
-    answers : mapping
-        To a signal of the right side the derivatives of its rate by measured signals, as the
-        nominal model has them: how it moves between samples.
     """
 
     target: str
@@ -86,7 +81,6 @@ class Relation:
     constants: Mapping[str, float] = field(repr=False)
     asked: tuple[str, ...] = ()
     driven: tuple[str, ...] = ()
-    answers: Mapping[str, Mapping[str, float]] = field(default_factory=dict, repr=False)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -97,23 +91,13 @@ class Relation:
         """Cumulative integral of rates of :meth:`__call__`, ``(n_times, k)``; first row zero."""
         return integral(times, columns)
 
-    def sampled(self, times: np.ndarray, values: Mapping[str, np.ndarray]) -> np.ndarray:
-        r"""What is not known of the integral between samples, ``(n_times,)``.
+    def sampled(self, times: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """What curves between samples change of the integral by straight lines, ``(n_times,)``.
 
-        The curvature of the rate over a step of :math:`h` is worth :math:`-h^2/12` times how much
-        its slope changes. Where commands are held, accelerations jump from sample to sample, and
-        slopes across samples do not show the motion between them: with :math:`A` the nominal
-        model's derivatives of rates, :math:`A\,\Delta s` are the changes under a command that is
-        held. The difference of both is the doubt.
+        Where commands are held, accelerations jump, and slopes across samples are as wrong as none.
         """
-        rates, steps = self(values, times), np.diff(times)
-        doubt = self.integral(times, rates[:, None])[:, 0]
-        doubt -= cumulative_trapezoid(rates, times, initial=0.0)
-        for name, derivatives in self.answers.items():
-            rate = sum(by * values[other] for other, by in derivatives.items() if other in values)
-            bent = self.slope(values, times, name)[1:] * np.diff(rate) * steps**2 / 12.0
-            doubt[1:] += np.cumsum(bent)
-        return doubt
+        curved = self.integral(times, rates[:, None])[:, 0]
+        return curved - cumulative_trapezoid(rates, times, initial=0.0)
 
     def __str__(self) -> str:
         return f"{self.target}{chr(39) if self.is_rate else ''} = {expressions.to_text(self.text)}"
@@ -174,37 +158,6 @@ def integral(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
 def names_of(relations: Iterable[Relation]) -> tuple[str, ...]:
     """All signals of some equations."""
     return tuple(dict.fromkeys(n for r in relations for n in r.names))
-
-
-def answering(
-    equations: Iterable[Relation], model: Model, usual: Mapping[str, float]
-) -> Iterator[Relation]:
-    """Equations that know how their signals move by the nominal model.
-
-    Parameters
-    ----------
-    equations : iterable of Relation
-    model : Model
-        Linearised about ``usual`` values of measured signals, its other states and its commands at
-        nothing. Where it has no finite rates there, nothing is known.
-    usual : mapping of str to float
-    """
-    graph, shown = build(model), {o.source: o.name for o in model.outputs}
-    names = [shown.get(state, "") for state in model.state_names]
-    at = np.zeros(graph.n_states)
-    at[: len(names)] = [usual.get(name, 0.0) for name in names]
-    near = THREE_DIGITS * np.eye(graph.n_states)
-    up, down = (
-        np.array(graph.rates(at[:, None] + by, 0.0, model.value_vector, 0.0))
-        for by in (near, -near)
-    )
-    slopes = np.nan_to_num((up - down) / (2.0 * THREE_DIGITS), posinf=0.0, neginf=0.0)
-    table = {
-        name: dict(zip(names, row.tolist(), strict=False))
-        for name, row in zip(names, slopes, strict=False)
-    }
-    for one in equations:
-        yield replace(one, answers={n: table[n] for n in one.signals if n in table})
 
 
 def relations(
