@@ -13,7 +13,6 @@ from __future__ import annotations
 import io
 import os
 import random
-import resource
 import signal
 import sys
 import tempfile
@@ -115,8 +114,7 @@ def outcome(path: Path, target: Path) -> tuple[str, float]:
     """How a child ends that reads a file as :func:`oed_sysid.data.open_log` has it read."""
     child = os.fork()
     if child == 0:
-        os.environ["OED_SYSID_MEMORY"] = str(TABLE_BYTES)
-        resource.setrlimit(resource.RLIMIT_CPU, (LIMIT, LIMIT + 1))
+        os.environ["OED_SYSID_LIMITS"] = f"{LIMIT} {TABLE_BYTES}"
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
         code = 1
         try:

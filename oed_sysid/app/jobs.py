@@ -37,6 +37,8 @@ from oed_sysid.runtime.journal import CellStore, package_digest
 
 # Results held in memory, and on disk; the longest unused go first.
 _HELD = 100
+# Seconds that a stopped process is given before it is killed.
+_GRACE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,15 +291,17 @@ def _prune(folder: Path) -> None:
 
 
 def _terminate(process: subprocess.Popen[bytes]) -> None:
-    """End a process and those that it started."""
-    if process.poll() is not None:
-        return  # its number may be another's by now
-    with suppress(OSError):
-        if os.name == "posix":  # of joblib, what cleans up after its workers outlives this signal
-            os.killpg(process.pid, signal.SIGTERM)
-        else:
-            process.kill()
-    process.wait()
+    """End a process and those that it started, kindly first."""
+    for number in (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM)):
+        if process.poll() is not None:
+            return  # its number may be another's by now
+        with suppress(OSError):
+            if os.name == "posix":
+                os.killpg(process.pid, number)
+            else:
+                process.kill()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_GRACE)
 
 
 def _stop_all(jobs: dict[tuple[str, str], Job]) -> None:

@@ -195,13 +195,15 @@ class Search:
         """Go on among the usual effects that nobody named: physics with a name leads a term."""
         study = end.state.study
         known = {effect.name for effect in (*study.candidates, *study.base.effects)}
-        more = [e for e in usual_effects(study.base, study.train) if e.source != POLYNOMIAL]
-        more = [effect for effect in more if effect.name not in known]
+        named = usual_effects(study.base, study.train)
+        more = [e for e in named if e.source != POLYNOMIAL and e.name not in known]
         if not more:
             return end
         self.tell("looking among usual effects that were not named")
-        begun = replace(end.state, study=study.with_candidates(more))
-        state, _, last = self.ended(begun)
+        joined = self.stage("usual effects", partial(study.with_candidates, more))
+        if joined is None:
+            return end
+        state, _, last = self.ended(replace(end.state, study=joined))
         found = sorted(state.names - known)
         if not found:
             return end
