@@ -33,12 +33,11 @@ from oed_sysid.cli.study import DEFAULT_MODEL, Study
 from oed_sysid.cli.terminal import Shown
 from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.problem import load_problem
+from oed_sysid.runtime.constants import PATIENCE
 from oed_sysid.runtime.journal import CellStore, package_digest
 
 # Results held in memory, and on disk; the longest unused go first.
 _HELD = 100
-# Seconds that a stopped process is given before it is killed.
-_GRACE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,7 +300,7 @@ def _terminate(process: subprocess.Popen[bytes]) -> None:
             else:
                 process.kill()
         with suppress(subprocess.TimeoutExpired):
-            process.wait(_GRACE)
+            process.wait(PATIENCE)
 
 
 def _stop_all(jobs: dict[tuple[str, str], Job]) -> None:

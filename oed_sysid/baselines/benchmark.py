@@ -37,7 +37,7 @@ from oed_sysid.baselines.contest import (
 )
 from oed_sysid.baselines.world import IDEAL, world_by_name
 from oed_sysid.errors import ProblemError
-from oed_sysid.runtime.constants import RANK_TOLERANCE
+from oed_sysid.runtime.constants import IMMATERIAL, RANK_TOLERANCE
 from oed_sysid.runtime.display import as_dict
 from oed_sysid.runtime.parallel import CellProgress, run_cells
 
@@ -45,9 +45,6 @@ __all__ = ["PROBLEMS", "Benchmark", "Row", "Verdict", "benchmark", "measure", "v
 
 # A parameter counts as determined where the data allow a standard error below this share.
 DETERMINED = 0.25
-# Two estimators are not told apart where their errors differ by less than this share; they are
-# called alike where even the scatter of the runs leaves no room for more than twice as much.
-EQUAL = 0.05
 
 
 @dataclass(frozen=True)
@@ -220,17 +217,20 @@ def verdicts(rows: Sequence[Row], ours: str) -> tuple[Verdict, ...]:
 def _outcome(ratio: float, logs: np.ndarray) -> str:
     """What paired runs on the same data say, as logarithms of the ratios of their errors.
 
-    Many runs speak by their mean and its two standard errors, few by their extremes.
+    Errors that differ by an immaterial share are not told apart; they are equal where the scatter
+    of the runs leaves no room for more. Many runs speak by their mean and its two standard errors,
+    few by their extremes.
     """
+    alike = np.log(1 + IMMATERIAL)
     low, high = float(logs.min()), float(logs.max())
-    told_apart = low >= -np.log(1 + EQUAL) or high <= np.log(1 + EQUAL)
+    told_apart = low >= -alike or high <= alike
     if len(logs) >= 5:  # their scatter is known well enough to be used
         two_errors = 2.0 * float(np.std(logs, ddof=1)) / np.sqrt(len(logs))
         low, high = np.mean(logs) - two_errors, np.mean(logs) + two_errors
         told_apart = low > 0 or high < 0
-    if abs(np.log(ratio)) > np.log(1 + EQUAL) and told_apart:
+    if abs(np.log(ratio)) > alike and told_apart:
         return "better" if ratio > 1 else "worse"
-    return "equal" if max(-low, high) < np.log(1 + 2 * EQUAL) else "undecided"
+    return "equal" if max(-low, high) < alike else "undecided"
 
 
 def _row(runs: Sequence[Outcome]) -> Row:

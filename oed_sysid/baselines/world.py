@@ -37,8 +37,8 @@ from oed_sysid.physics.base import Force
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
 
-# Correlation times, in samples.
-FORCE_TIME, NOISE_TIME = 4.0, 5.0
+# Correlation time of forces and of a sensor's noise, in samples.
+LASTING = 4.0
 # Steps per sample in which disturbance forces are drawn and integrated.
 SUBSTEPS = 4
 
@@ -117,7 +117,7 @@ class World:
             if noise:
                 errors = np.sqrt(1 - self.colour) * rng.standard_normal(outputs.shape)
                 if self.colour:
-                    memory = _gauss_markov(outputs.shape, NOISE_TIME, for_colour)
+                    memory = _gauss_markov(outputs.shape, LASTING, for_colour)
                     errors += np.sqrt(self.colour) * memory
                 outputs += std * errors
         else:  # as in the ideal world, commands that answer noisy measurements included
@@ -152,7 +152,7 @@ class World:
         ]
         # Forces run linearly through the fine points, so that substeps see no jumps.
         shape = len(fine), len(places)
-        push = self.forces * _gauss_markov(shape, FORCE_TIME * SUBSTEPS, rng)
+        push = self.forces * _gauss_markov(shape, LASTING * SUBSTEPS, rng)
         if self.swell:
             period = self._period(clean) / experiment.sample_time * SUBSTEPS
             push += self.swell * _narrow_band(shape, period, self.bandwidth, rng)
@@ -200,8 +200,8 @@ class World:
             np.sqrt(max(1.0 - self.colour, 0.01)) * std,  # a filter needs some white noise
             np.sqrt(self.colour) * std,
             np.array(list(forces.values())),
-            NOISE_TIME * experiment.sample_time,
-            FORCE_TIME * experiment.sample_time,
+            LASTING * experiment.sample_time,
+            LASTING * experiment.sample_time,
             model.output_names,
             tuple(f"force {place}" for place in forces),
             seas,

@@ -695,13 +695,14 @@ def _on_other_vehicles(
     import numpy as np
 
     from oed_sysid.design import accuracy_range, assess_limits
+    from oed_sysid.design.vehicles import CHECKED
 
     model, run = found.model, found.experiment
     known: dict[str, Any] = {"spread": spread, "prior": found.prior}
     if found.assurance is None:
         show.say("simulating other vehicles")
         stated = partial(assess_limits, model, run, rng=np.random.default_rng(seed), limits=limits,
-                         vehicles=200, sea=found.sea, **known)  # fmt: skip
+                         vehicles=CHECKED, sea=found.sea, **known)  # fmt: skip
         found = replace(found, assurance=show.journal.once("assurance", stated))
     if found.sea is not None:
         show.say("accuracy on other vehicles")

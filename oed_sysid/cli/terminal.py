@@ -21,7 +21,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from oed_sysid.cli import INTERRUPTED
 from oed_sysid.cli.options import SHARED
-from oed_sysid.runtime.constants import IMMATERIAL
+from oed_sysid.runtime.constants import IMMATERIAL, PATIENCE
 from oed_sysid.runtime.display import plain
 from oed_sysid.runtime.files import write_text
 
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
 # A file name that means standard output.
 STANDARD = Path("-")
-# Seconds after which a calculation says how far it is, and at least between lines that stay.
-PATIENCE = 2.0
 # Bold red, and back.
 _RED, _PLAIN = "\x1b[1;31m", "\x1b[0m"
 

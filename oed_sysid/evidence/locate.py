@@ -29,15 +29,13 @@ from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.disturbances import Place, places
 from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import FEW, NEAR, FilteredSolution, Iterate, solve_filtered
-from oed_sysid.likelihood.noise_model import Levels, NoiseModel
+from oed_sysid.likelihood.noise_model import Levels, NoiseModel, correlation_times
 from oed_sysid.likelihood.random_forces import begun, likeliest_decade, solved
 from oed_sysid.likelihood.score_test import LEAST_SEEN
 from oed_sysid.runtime.constants import NEGLIGIBLE
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text
 from oed_sysid.text.units import shown_unit
 
-# Shortest and longest correlation time of the disturbances, s: passing and lasting.
-CORRELATION_TIMES = (1.0, 20.0)
 # Statistic below which no place is accused: what chance rarely gives of fourteen places.
 CLEAR = threshold(14, 1)
 
@@ -403,7 +401,8 @@ class _Bench:
         """The level and time of one place unknown, and what nobody declared of the sensors."""
         noise = self.quiet.noise
         colour = np.array([place.name == f"sensor {name}" for name in noise.outputs])
-        time = float(np.sqrt(np.prod(CORRELATION_TIMES)))
+        between = correlation_times(self.quiet.problem.dataset)
+        time = float(np.sqrt(np.prod(between)))
         begin = replace(noise, colour=np.where(colour, size, 0.0), colour_time=time)
         begin = begin.with_places([] if any(colour) else [place.name], time, size)
         return Levels.of(
@@ -412,7 +411,7 @@ class _Bench:
             white=self.unknown,
             colour=colour,
             force=True,
-            times=CORRELATION_TIMES,
+            times=between,
         )
 
 

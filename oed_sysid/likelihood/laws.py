@@ -65,7 +65,7 @@ from oed_sysid.likelihood.estimate import Departure, Estimate, once_a_fit
 from oed_sysid.likelihood.filtered import Filtered, disturbed_model
 from oed_sysid.likelihood.gauss_newton import solve_filtered
 from oed_sysid.likelihood.noise_levels import RARE, first_order
-from oed_sysid.likelihood.noise_model import Levels, NoiseModel
+from oed_sysid.likelihood.noise_model import Levels, NoiseModel, correlation_times
 from oed_sysid.likelihood.projection import ABSORBED
 from oed_sysid.likelihood.score_test import Scored, Setting
 from oed_sysid.likelihood.smoother import Path, smoothable
@@ -79,8 +79,8 @@ from oed_sysid.text import expressions
 # is asked alone, and parts of a run between which a force may step.
 KNOTS, LAGS = 5, 3
 FINER, PARTS = 2 * KNOTS - 1, 32
-# Records drawn to see how large a statistic is by chance, at most: until it is clear.
-DRAWS = 20
+# Records drawn at once; and at most, until it is clear, to see how large a statistic is by chance.
+CHUNK = 20
 # How time since the start of a record is called among the signals.
 IN_THE_RUN = "the time in the run"
 STEP = f"{IN_THE_RUN}, a step at "
@@ -155,7 +155,7 @@ def posed_again(
         colour=(noise.colour > 0) & levels,
         force=(noise.force > 0) & levels,
         own_times=noise.has_own_times,
-        times=setting.times(fit.dataset),
+        times=correlation_times(fit.dataset),
         seas=None if levels else noise.seas,
     )
     names = dict.fromkeys((*setting.disturbances, *unknown.disturbances))
@@ -360,7 +360,7 @@ class _End:
         """Mean statistic over its freedom by chance, of all that stands; one at least."""
         rng, found = np.random.default_rng(0), defaultdict[tuple[str, ...], list[float]](list)
         places = {one.place for one in standing}
-        for count in range(1, DRAWS + 1):
+        for count in range(1, CHUNK + 1):
             for one in self._drawn(rng, places):
                 found[one.key].append(one.statistic() / one.freedom)
             if count >= MINIMUM_SAMPLES and all(one.clear(found[one.key]) for one in standing):

@@ -45,6 +45,7 @@ from oed_sysid.compiled.filtering import (
     WHITE_VARIANCE,
     Disturbed,
 )
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.disturbances import DISTURBANCE
 from oed_sysid.runtime.constants import NEGLIGIBLE, ROUNDING
@@ -506,6 +507,12 @@ SHORTEST, LONGEST = 0.5, 0.2
 LOGARITHMS = (FORCE_TIME, COLOUR_TIME, SEA_PERIOD, SEA_DAMPING)
 # Least and largest damping of a sea: below, a wave that never changes; above, no wave.
 DAMPING = (0.005, 0.7)
+
+
+def correlation_times(dataset: Dataset) -> tuple[float, float]:
+    """Shortest and longest correlation time that records tell from white noise and a zero, s."""
+    shortest = SHORTEST * min(record.sample_time for record in dataset)
+    return shortest, max(LONGEST * min(record.duration for record in dataset), 4.0 * shortest)
 
 
 @dataclass(frozen=True, eq=False)

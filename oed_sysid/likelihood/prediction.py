@@ -24,12 +24,13 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError, located
 from oed_sysid.likelihood.estimate import Estimate, by_name
+from oed_sysid.likelihood.laws import CHUNK
 from oed_sysid.likelihood.noise_levels import root_mean_square
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import root_of
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts, StartState
-from oed_sysid.likelihood.whole_runs import CHUNK, WholeRun
+from oed_sysid.likelihood.whole_runs import WholeRun
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.constants import IMMATERIAL, MATERIAL
 

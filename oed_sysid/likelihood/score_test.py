@@ -47,11 +47,10 @@ from oed_sysid.likelihood.gauss_newton import (
 )
 from oed_sysid.likelihood.noise_levels import credible_levels, shown_in_log
 from oed_sysid.likelihood.noise_model import (
-    LONGEST,
-    SHORTEST,
     Levels,
     NoiseModel,
     Sea,
+    correlation_times,
     disturbance_names,
 )
 from oed_sysid.likelihood.projection import gain_within, score_beside
@@ -187,11 +186,6 @@ class Setting:
         of_seas = disturbance_names([place for sea in self.seas for place in sea.places])
         return tuple(dict.fromkeys((*names, *of_seas)))
 
-    def times(self, dataset: Dataset) -> tuple[float, float]:
-        """Shortest and longest correlation time, s."""
-        shortest = SHORTEST * min(record.sample_time for record in dataset)
-        return shortest, max(LONGEST * min(record.duration for record in dataset), 4.0 * shortest)
-
     def noise(self, time: float) -> NoiseModel:
         """White noise, and disturbances of zero level."""
         places = [place.name for place in self.places]
@@ -246,7 +240,7 @@ class Setting:
             # ... and most of the high-frequency content may be its own.
             least_white=np.where(remembers, IMMATERIAL, 1.0) * self.least_white,
             most_colour=self.most_colour,
-            times=self.times(dataset),
+            times=correlation_times(dataset),
             seas=seas,
         )
 

@@ -48,7 +48,7 @@ from oed_sysid.likelihood.between_records import CHANCE, WORTH_TELLING
 from oed_sysid.likelihood.disturbances import chosen_places, with_disturbance_inputs
 from oed_sysid.likelihood.estimate import Estimate, by_name
 from oed_sysid.likelihood.gauss_newton import solve
-from oed_sysid.likelihood.laws import Law, with_sea_of_its_records
+from oed_sysid.likelihood.laws import CHUNK, Law, with_sea_of_its_records
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
     given_levels,
@@ -65,8 +65,8 @@ from oed_sysid.runtime.constants import BEYOND, RANK_TOLERANCE
 from oed_sysid.runtime.display import as_dict
 from oed_sysid.text.units import shown_unit
 
-# Runs drawn, the widths that z is in are then known to a tenth; and those at once.
-DRAWS, CHUNK = 120, 20
+# Runs drawn: the widths that z is in are then known to a tenth.
+DRAWS = 120
 
 
 @dataclass(frozen=True, eq=False)

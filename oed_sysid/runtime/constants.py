@@ -33,3 +33,6 @@ RUNAWAY = 1e12
 LONGEST_LINE = 1 << 16
 # Of one table or log: more than fits into the memory of most computers.
 TABLE_BYTES = 4 * 1024**3
+# Seconds after which whoever waits is told how far it is, and for which a process that was stopped
+# is waited for before it is killed.
+PATIENCE = 2.0

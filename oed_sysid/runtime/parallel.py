@@ -35,10 +35,6 @@ from oed_sysid.runtime.threads import one_thread
 Cell = TypeVar("Cell")
 Result = TypeVar("Result")
 
-# A worker may die of something outside; a cell that takes its workers along again and
-# again does not deserve a fourth.
-ATTEMPTS = 3
-
 
 class ParallelError(OedSysidError):
     """Some cells could not be calculated."""
@@ -219,7 +215,8 @@ def _outcomes(
 ) -> Generator[_Outcome[Result], None, None]:
     """Yield outcomes of all cells that are not kept, and keep them; go on where workers die."""
     left = {key: cell for key, cell in cells.items() if key not in kept}
-    for attempt in range(1, ATTEMPTS + 1):
+    before = -1
+    while True:
         try:
             with closing(_calculate(work, left.copy(), keeper, n_jobs)) as outcomes:
                 for outcome in outcomes:
@@ -229,12 +226,14 @@ def _outcomes(
                     yield outcome
             return
         except _lost_worker() as error:
-            if attempt == ATTEMPTS:
+            # A worker may die of something outside; cells that take theirs along twice will again.
+            if len(left) == before:
                 raise ParallelError(
-                    f"Worker processes died in {ATTEMPTS} attempts with {len(left)} of "
-                    f"{len(cells)} cells left ({str(error).partition('. ')[0]}). Memory is the "
-                    "usual reason: lower n_jobs, or make cells smaller."
+                    f"Worker processes died again and again with {len(left)} of {len(cells)} cells "
+                    f"left ({str(error).partition('. ')[0]}). Memory is the usual reason: lower "
+                    "n_jobs, or make cells smaller."
                 ) from error
+            before = len(left)
 
 
 def _calculate(
