@@ -274,6 +274,8 @@ def source(graph: Graph) -> str:
     for label, *pair in zip(labels, plain, (actuate, rates, observe, start), strict=True):
         sizes[f"W_{label}"] = max(map(ca.Function.sz_w, pair))
         sizes[f"IW_{label}"] = max(map(ca.Function.sz_iw, pair))
+    begin = start.sparsity_out(1)
+    sizes |= {"NNZ_START": begin.nnz(), "START_PLACES": _places(begin) if begin.nnz() else "{0}"}
     updates = (
         _updates(actuate, "DDA DDP DAA DAP", sizes)
         | _updates(rates, "JXX JXD JXP", sizes)
@@ -310,10 +312,15 @@ def _braces(items: Iterable[str]) -> str:
 
 
 def _start(graph: Graph) -> ca.Function:
-    """Start function with its dense derivative, row by row, by own states and free parameters."""
+    """Start function with its sparse derivative, row by row, by own states and free parameters."""
     symbols = graph.start.sx_in()
     found = differentiated(graph.start, (0, 2), 2, graph.free_indices, "own")
     z, by_own, by_free = found.call(symbols)
     # CasADi stores columns; the transpose hands rows to C.
-    dense = ca.densify(ca.horzcat(by_own, by_free).T)
-    return ca.Function("start_jac", symbols, [z, dense])
+    return ca.Function("start_jac", symbols, [z, ca.horzcat(by_own, by_free).T])
+
+
+def _places(sparsity: ca.Sparsity) -> str:
+    """Where the entries of a sparse matrix stand in a dense one, column by column."""
+    rows, columns = (np.array(part, dtype=int) for part in sparsity.get_triplet())
+    return _braces(map(str, columns * sparsity.size1() + rows))

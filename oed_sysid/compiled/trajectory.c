@@ -438,11 +438,14 @@ void kernel_sizes(int *sizes)
 void kernel_start(const double *own, const double *input, const double *p, double t, double *z,
                   double *dz)
 {
-    double w[MAX1(W_START)];
+    static const int places[] = START_PLACES;
+    double w[MAX1(W_START)], v[MAX1(NNZ_START)];
     casadi_int iw[MAX1(IW_START)];
     const double *arg[8] = {own, input, p, &t};
-    double *res[4] = {z, dz};
+    double *res[4] = {z, v};
     start_jac(arg, res, iw, w, 0);
+    memset(dz, 0, sizeof(double) * NZ * (N_OWN + NF));
+    for (int i = 0; i < NNZ_START; ++i) dz[places[i]] = v[i];
 }
 
 #ifdef SELECT
