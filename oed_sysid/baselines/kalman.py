@@ -325,8 +325,6 @@ class JointFilter:
             from_nodes=0,
             sensitivities=True,
         )
-        assert run.output_sensitivities is not None
-        assert run.end_sensitivities is not None
         if row:
             # Exact derivatives of the step; parameters stay as they are.
             transition = np.eye(len(full))

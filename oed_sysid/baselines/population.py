@@ -150,7 +150,6 @@ class TrajectoryCost:
         for own, record in zip(self._starts, self.dataset, strict=True):
             run = runner.simulate(record.times, record.inputs, values, own, sensitivities=True)
             slopes = run.output_sensitivities
-            assert slopes is not None
             residuals.append(record.outputs - run.outputs)
             seen = np.isfinite(residuals[-1])[:, :, None] & np.isfinite(slopes)
             by_start, by_free = np.split(np.where(seen, slopes, 0.0), [runner.n_own], axis=2)

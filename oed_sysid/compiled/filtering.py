@@ -577,13 +577,13 @@ class Along:
     active: Sequence[int] | np.ndarray | None = None
     passing: Sequence[int] | np.ndarray = ()
     longest_step: float | None = None
-    beyond: np.ndarray | None = None
+    beyond: Any = np.inf
 
     def __post_init__(self) -> None:
-        for name in ("times", "inputs", "values", "measured"):
+        every = np.broadcast_to(self.beyond, np.shape(self.measured))
+        object.__setattr__(self, "beyond", every)
+        for name in ("times", "inputs", "values", "measured", "beyond"):
             object.__setattr__(self, name, *doubles(getattr(self, name)))
-        if self.beyond is not None:
-            object.__setattr__(self, "beyond", *doubles(self.beyond))
 
     @property
     def record(self) -> Commands:
@@ -613,14 +613,15 @@ class FilterPass:
         Sums of ``log S`` and ``e^2/S``.
     innovations, variances : ndarray (n_times, n_outputs)
         ``e``, NaN where nothing was measured, and ``S``, also where nothing was.
-    rows : ndarray (n_times, n_outputs, n_columns + 2 n_levels) or None
-        ``de / sqrt(S)``, also where nothing was measured, then ``q`` of the levels.
+    rows : ndarray (n_times, n_outputs, n_columns + 2 n_levels)
+        ``de / sqrt(S)``, also where nothing was measured, then ``q`` of the levels. Rows, gains and
+        moves have no times where they were not asked for.
     path : ndarray (n_times, n_full + n_disturbances + n_coloured)
         Filtered means.
-    gains : ndarray (n_times, n_outputs, 2, n) or None
+    gains : ndarray (n_times, n_outputs, 2, n)
         Derivatives of each output, and the gain of its innovation, also where nothing was measured.
         The ``n`` are active components, disturbances, colours and second states of disturbances.
-    moves : ndarray (n_times, n + n_disturbances, n) or None
+    moves : ndarray (n_times, n + n_disturbances, n)
         Their transition towards the next sample (zero at the last one), above the predicted
         covariance of the disturbances with them.
     failed_at : int
@@ -634,10 +635,10 @@ class FilterPass:
     square: float
     innovations: np.ndarray
     variances: np.ndarray
-    rows: np.ndarray | None
+    rows: np.ndarray
     path: np.ndarray
-    gains: np.ndarray | None
-    moves: np.ndarray | None
+    gains: np.ndarray
+    moves: np.ndarray
     failed_at: int
 
     @property
@@ -650,6 +651,10 @@ class FilterPass:
         """Minus twice the log-likelihood, up to a constant."""
         value = self.log_variance + self.square
         return value if self.ok and np.isfinite(value) else np.inf
+
+
+# Complex step by which levels move: its square is no number any more.
+_STEP = float(np.sqrt(np.finfo(float).tiny))
 
 
 class InterpretedFilter:
@@ -680,34 +685,28 @@ class InterpretedFilter:
         self.size = self.coloured.stop + noise.n_second
         self.extra = slice(self.na, self.size)
         self.levels: Sequence[tuple[int, int]] = ()
-        self.mean = np.zeros(self.size)
-        self.beyond = (
-            np.full(along.measured.shape, np.inf) if along.beyond is None else along.beyond
-        )
+        self.beyond = along.beyond
+        # Of the record as it is; below it, of derivatives by levels.
+        self.mean = np.zeros((1, self.size))
 
     def replay(self, gains: np.ndarray, innovations: np.ndarray) -> int:
         """Innovations at the gains of an earlier pass; -1, or the sample that is not finite."""
-        measured = self.measured
-        for k in range(len(measured)):
+        for k, measured in enumerate(self.measured):
             if not abs(self.z.sum()) < DIVERGED:
                 return k
-            self._let_act()
-            y = self._sample(k)[0]
-            # Corrections of earlier outputs of this sample count for the later ones, to first
-            # order.
-            delta = np.zeros(self.size)
-            for i in np.flatnonzero(np.isfinite(measured[k])):
+            y, acted = self._sample(k)[0], self.mean[0, self.na : self.m].copy()
+            for i in np.flatnonzero(np.isfinite(measured)):
                 h, gain = gains[k, i]
-                own = (self.noise.coloured == i) @ self.mean[self.coloured]
-                e = measured[k, i] - y[i] - h @ delta - own
+                e = measured[i] - y[i] + h[self.na : self.m] @ acted - self.mean[0] @ h
                 if not np.isfinite(e):
                     return k
-                delta += gain * e
+                self.mean += gain * e
                 innovations[k, i] = e
-            self._correct(delta)
+            self._correct()
             for step, steps, lengths in self._parts(k):
-                self._advance(k, (step, steps), None)
-                self.mean[self.extra] = self._over(lengths).memory[0] @ self.mean[self.extra]
+                self._advance(k, (step, steps), np.zeros((len(self.z), 0)))
+                phi = self._over(lengths).memory[0]
+                self.mean[:, self.extra] = self.mean[:, self.extra] @ phi.T
         return -1
 
     def filter(
@@ -719,21 +718,26 @@ class InterpretedFilter:
         found: FilterPass,
         sums: tuple[np.ndarray, np.ndarray],
     ) -> int:
-        """Fill the results as the compiled loop does; -1, or the failing sample."""
+        """Fill the results as the compiled loop does; -1, or the failing sample.
+
+        Mean and covariance are carried once as they are and once for every level, moved by a step
+        so small that derivatives, the imaginary parts, are exact (Squire & Trapp 1998).
+        """
         self.levels, self.found = levels, found
         self.chosen = len(self.z) + chosen
         self.inside = [*range(n_active), *range(self.na, self.size)]
         nx, nl = first.shape[1], len(levels)
-        # Derivatives of the mean by columns, whose gain is frozen, then by levels.
-        self.d_mean, self.p = np.zeros((self.size, nx + nl)), np.zeros((self.size, self.size))
-        self.d_mean[: self.na, :nx] = first
+        # Derivatives of the mean by columns, whose gain is frozen.
+        self.d_mean = np.zeros((self.size, nx))
+        self.d_mean[: self.na] = first
         self.own = slice(nx - len(chosen), nx)
         # Disturbances begin in their stationary distribution; start states are unknowns, without
         # any.
-        self.begun = begun = self.noise.random(np.zeros(0), np.zeros(0), levels)
-        self.p[self.extra, self.extra] = begun.stationary
-        self.d_p = np.zeros((nl, self.size, self.size))
-        self.d_p[:, self.extra, self.extra] = np.moveaxis(begun.by_level, 2, 0)[:nl]
+        begun = self.noise.random(np.zeros(0), np.zeros(0), levels)
+        self.mean = np.zeros((1 + nl, self.size), dtype=complex)
+        self.p = np.zeros((1 + nl, self.size, self.size), dtype=complex)
+        self.p[:, self.extra, self.extra] = self._moved(begun.stationary, begun.by_level)
+        self.white = self._moved(self.noise.white, begun.white_by_level)
         self.gram = np.zeros((nx + nl + 1,) * 2)
         self.slope, self.information, self.total = np.zeros(nl), np.zeros((nl, nl)), np.zeros(2)
         for k, measured in enumerate(self.measured):
@@ -744,6 +748,11 @@ class InterpretedFilter:
         found.gram[:] = self.gram
         sums[0][:], sums[1][:] = [*self.slope, *self.information.ravel()], self.total
         return -1
+
+    def _moved(self, value: np.ndarray, by_level: np.ndarray) -> np.ndarray:
+        """A value, then the same with every level moved, ``(1 + n_levels, ...)``."""
+        steps = np.moveaxis(by_level, -1, 0)[: len(self.levels)]
+        return np.concatenate([value[None], value + 1j * _STEP * steps])
 
     def _parts(self, k: int) -> list[tuple[int, int, tuple[float, float]]]:
         """Steps from sample ``k`` on over which disturbances are held; none after the last.
@@ -765,119 +774,98 @@ class InterpretedFilter:
     def _let_act(self) -> None:
         """Disturbances into the parameters through which they act."""
         self.values[self.position] = 0.0
-        np.add.at(self.values, self.position, self.mean[self.na : self.m])
+        np.add.at(self.values, self.position, self.mean[0, self.na : self.m].real)
 
-    def _correct(self, delta: np.ndarray) -> None:
-        self.z[self.kept] += delta[: self.na]
-        self.mean[self.na :] += delta[self.na :]
+    def _sample(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Outputs and the state after a measurement under the disturbances, with derivatives."""
+        self._let_act()
+        return self.code.sample(self.z, self.record, k, self.values, self.longest_step)
 
-    def _advance(self, k: int, part: tuple[int, int], s: np.ndarray | None) -> np.ndarray | None:
+    def _correct(self) -> None:
+        """Take what a sample told of the state over into the state."""
+        self.z[self.kept] += self.mean[0, : self.na].real
+        self.mean.real[:, : self.na] = 0.0
+
+    def _advance(self, k: int, part: tuple[int, int], s: np.ndarray) -> np.ndarray:
         """Move the state, and sensitivities ``s``, over one part of the time to the next sample."""
         self._let_act()
         if part[0] == 0:  # sensor memory moves on with what is known after the measurement
             _, self.z, _, d_after = self._sample(k)
-            s = None if s is None else chained(d_after, s)
+            s = chained(d_after, s)
         self.z, s = self.code.move(self.z, s, self.record, k, self.values, part)
         return s
 
-    def _sample(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Outputs and the state after a measurement, with derivatives."""
-        return self.code.sample(self.z, self.record, k, self.values, self.longest_step)
-
     def _measure(self, k: int, measured: np.ndarray) -> bool:
         """Correct by one sample, one output at a time; whether everything is finite."""
-        noise, found, na, m = self.noise, self.found, self.na, self.m
-        self._let_act()
+        noise, found, na, m, nx = self.noise, self.found, self.na, self.m, self.d_mean.shape[1]
         y, _, dy, _ = self._sample(k)
-        if found.moves is not None:
-            found.moves[k, len(self.inside) :] = self.p[na:m][:, self.inside]
-        width = self.d_mean.shape[1]
-        delta, second = np.zeros(self.size), np.zeros(noise.n_second)
+        acted = self.mean[0, na:m].real.copy()
+        if len(found.moves):
+            found.moves[k, len(self.inside) :] = self.p[0, na:m][:, self.inside].real
         # One scalar after the other: white noises of two sensors are independent.
         for i in range(len(y)):
-            of_sensor = noise.coloured == i
+            of_sensor, second = noise.coloured == i, np.zeros(noise.n_second)
             h = np.concatenate([dy[i, self.kept], dy[i, self.random], of_sensor, second])
             g = self.p @ h
-            s = float(h @ g + noise.white[i])
-            found.variances[k, i] = s
-            if not s > 0:
+            s = g @ h + self.white[:, i]
+            found.variances[k, i] = variance = s[0].real
+            if not variance > 0:
                 return False
-            # de = -h' dm - dy/dp, and e itself behind them.
-            row = np.append(-h @ self.d_mean, 0.0)
+            # Outputs hold the disturbances; all else of the mean counts to first order.
+            e = measured[i] - y[i] + h[na:m] @ acted - self.mean @ h
+            # de = -h' dm - dy/dp, by levels as they move it, and e itself behind them.
+            row = np.concatenate([-h @ self.d_mean, e[1:].imag / _STEP, e[:1].real])
             row[self.own] -= dy[i, self.chosen]
-            if found.rows is not None:
-                found.rows[k, i, :width] = row[:-1] / np.sqrt(s)
-            if found.gains is not None:
-                found.gains[k, i] = h[self.inside], g[self.inside] / s
+            if len(found.rows):
+                found.rows[k, i, : len(row) - 1] = row[:-1] / np.sqrt(variance)
+            if len(found.gains):
+                found.gains[k, i] = h[self.inside], g[0, self.inside].real / variance
             if not np.isfinite(measured[i]):
                 continue
-            row[-1] = e = float(measured[i] - y[i] - h @ delta - h[m:] @ self.mean[m:])
-            if not np.isfinite(e):
+            if not np.isfinite(row[-1]):
                 return False
-            found.innovations[k, i] = e
-            if e**2 > self.beyond[k, i] * s:
+            found.innovations[k, i] = row[-1]
+            square = row[-1] ** 2 / variance
+            if square > self.beyond[k, i]:
                 continue
-            delta += g * e / s
-            q = self._corrected(i, h, g, s, row)
-            if found.rows is not None:
-                found.rows[k, i, width:] = q
-        self._correct(delta)
-        found.path[k] = [*self.z, *self.mean[na : self.coloured.stop]]
+            gain = g / s[:, None]
+            self.mean += gain * e[:, None]
+            self.d_mean += np.outer(gain[0].real, row[:nx])
+            self.p -= gain[:, :, None] * g[:, None, :]
+            q = np.log(s[1:]).imag / _STEP
+            self.gram += np.outer(row, row) / variance
+            self.slope += 0.5 * q * (1 - square)
+            self.information += 0.5 * np.outer(q, q)
+            self.total += np.log(variance), square
+            if len(found.rows):
+                found.rows[k, i, len(row) - 1 :] = q
+        self._correct()
+        found.path[k] = [*self.z, *self.mean[0, na : self.coloured.stop].real]
         return True
 
-    def _corrected(
-        self, output: int, h: np.ndarray, g: np.ndarray, s: float, row: np.ndarray
-    ) -> np.ndarray:
-        """Covariance, columns, tangents and sums after one scalar; ``q`` of the levels."""
-        e = row[-1]
-        white = self.begun.white_by_level[output, : len(self.levels)]
-        # With g = P h: dS = h' dP h + dr, and dK = (dP h - q g) / S.
-        d_g = self.d_p @ h
-        q = (d_g @ h + white) / s
-        self.d_mean += np.outer(g, row[:-1]) / s
-        self.d_mean[:, self.own.stop :] += (d_g - np.outer(q, g)).T * e / s
-        # d(g g' / S) = (dg g' + g dg' - q g g') / S.
-        cross = d_g[:, :, None] * g
-        both = cross + np.swapaxes(cross, 1, 2)
-        self.d_p -= (both - q[:, None, None] * np.outer(g, g)) / s
-        self.p -= np.outer(g, g) / s
-        self.gram += np.outer(row, row) / s
-        self.slope += 0.5 * q * (1 - e**2 / s)
-        self.information += 0.5 * np.outer(q, q)
-        self.total += np.log(s), e**2 / s
-        return q
-
     def _predict(self, k: int, part: tuple[int, int], lengths: tuple[float, float]) -> None:
-        """Mean, covariance, columns and tangents over one part of the time to the next sample."""
-        na, m, extra, n_full = self.na, self.m, self.extra, len(self.z)
+        """Mean, covariance and columns over one part of the time to the next sample."""
+        na, extra, n_full = self.na, self.extra, len(self.z)
         s = self._advance(k, part, np.eye(n_full, n_full + len(self.code.graph.free_indices)))
-        assert s is not None
         over = self._over(lengths)
-        phi, stationary = over.memory[0], over.stationary
-        f = np.zeros((self.size, self.size))
-        f[:na, :na] = s[np.ix_(self.kept, self.kept)]
-        f[:na, na:m] = s[np.ix_(self.kept, self.random)]
-        f[extra, extra] = phi
-        if self.found.moves is not None:
+        stationary = self._moved(over.stationary, over.by_level)
+        phi = over.memory[0] + np.zeros_like(stationary)
+        phi[1 + over.moving] += 1j * _STEP * over.memory_by_level[0]
+        f = np.zeros_like(self.p)
+        f[:, :na, :na] = s[np.ix_(self.kept, self.kept)]
+        f[:, :na, na : self.m] = s[np.ix_(self.kept, self.random)]
+        f[:, extra, extra] = phi
+        if len(self.found.moves):
             count = len(self.inside)
             before = self.found.moves[k, :count] if part[0] else np.eye(count)
-            self.found.moves[k, :count] = f[np.ix_(self.inside, self.inside)] @ before
-        # Levels that move transitions: of f, and of what is fresh in a step.
-        by_level = np.moveaxis(over.by_level, 2, 0)[: len(self.levels)]
-        d_f = np.zeros_like(self.d_p)
-        d_f[over.moving, extra, extra] = over.memory_by_level[0]
-        moved, fresh = d_f @ self.p @ f.T, d_f[:, extra, extra] @ stationary @ phi.T
-        self.d_mean = f @ self.d_mean
+            self.found.moves[k, :count] = f[0].real[np.ix_(self.inside, self.inside)] @ before
+        self.mean = (f @ self.mean[:, :, None])[:, :, 0]
+        self.mean.real[:, :na] = 0.0  # in the state, which has moved on its own
+        self.d_mean = f[0].real @ self.d_mean
         self.d_mean[:na, self.own] += s[np.ix_(self.kept, self.chosen)]
-        self.d_mean[:, self.own.stop :] += (d_f @ self.mean).T
         # P^- = F P F' + D - phi D phi': stationary where nothing is measured.
-        self.d_p = f @ self.d_p @ f.T + moved + np.swapaxes(moved, 1, 2)
-        self.d_p[:, extra, extra] += (
-            by_level - phi @ by_level @ phi.T - fresh - np.swapaxes(fresh, 1, 2)
-        )
-        self.p = f @ self.p @ f.T
-        self.p[extra, extra] += stationary - phi @ stationary @ phi.T
-        self.mean[extra] = phi @ self.mean[extra]
+        self.p = f @ self.p @ np.swapaxes(f, 1, 2)
+        self.p[:, extra, extra] += stationary - phi @ stationary @ np.swapaxes(phi, 1, 2)
 
 
 class FilterKernel(Kernel):
@@ -969,10 +957,10 @@ class FilterKernel(Kernel):
             square=np.inf,
             innovations=np.full((n, n_outputs), np.nan),
             variances=np.full((n, n_outputs), np.nan),
-            rows=np.zeros((n, n_outputs, width + n_levels)) if rows else None,
+            rows=np.zeros((n * rows, n_outputs, width + n_levels)),
             path=np.full((n, size), np.nan),
-            gains=np.zeros((n, n_outputs, 2, inner)) if gains else None,
-            moves=np.zeros((n, inner + n_random, inner)) if moves else None,
+            gains=np.zeros((n * gains, n_outputs, 2, inner)),
+            moves=np.zeros((n * moves, inner + n_random, inner)),
             failed_at=-1,
         )
 
@@ -1006,8 +994,8 @@ class FilterKernel(Kernel):
             positions, acting, white, len(coloured), coloured, n_extra, stationary,
             steps.which, memory, len(levels), d_white, d_stationary, len(over.moving),
             over.moving, d_memory, along.measured, along.beyond,
-            found.gram, level, found.innovations, found.variances, found.rows, found.path,
-            found.gains, found.moves, total, work,
+            found.gram, level, found.innovations, found.variances, found.rows if rows else None,
+            found.path, found.gains if gains else None, found.moves if moves else None, total, work,
         )  # fmt: skip
         return done(failed)
 
@@ -1125,13 +1113,14 @@ class _Part(Kernel):
             from_nodes=from_nodes,
             n_columns=width or None,
         )
-        kept = [*self._own, *range(wide.n_full, width)]
-        by_start, by_end = found.output_sensitivities, found.end_sensitivities
-        found = replace(found, states=found.states[:, self._own], ends=found.ends[:, self._own])
-        if by_start is None or by_end is None:
-            return found
-        by_end = by_end[:, self._own][:, :, kept]
-        return replace(found, output_sensitivities=by_start[:, :, kept], end_sensitivities=by_end)
+        kept = [*self._own, *range(wide.n_full, width)] if sensitivities else []
+        return replace(
+            found,
+            states=found.states[:, self._own],
+            ends=found.ends[:, self._own],
+            output_sensitivities=found.output_sensitivities[:, :, kept],
+            end_sensitivities=found.end_sensitivities[:, self._own][:, :, kept],
+        )
 
 
 def steps_between(times: np.ndarray, longest_step: float) -> tuple[np.ndarray, np.ndarray]:

@@ -63,12 +63,12 @@ class Interpreted:
     def move(
         self,
         z: np.ndarray,
-        s: np.ndarray | None,
+        s: np.ndarray,
         record: Commands,
         k: int,
         values: np.ndarray,
         part: tuple[int, int] = (0, 1),
-    ) -> tuple[np.ndarray, np.ndarray | None]:
+    ) -> tuple[np.ndarray, np.ndarray]:
         """State and sensitivities after one of several equal parts of the time to sample k + 1.
 
         Sensor memory takes in the beginning of every step but the first, the sample's own.
@@ -83,9 +83,9 @@ class Interpreted:
             t, first = times[k] + begin * interval, inputs[k] + begin * change
             if step + j > 0 and self.graph.n_sensor_memory:
                 _, z, _, dz = self._sample(z, first, values, t, h)
-                s = None if s is None else chained(dz, s)
+                s = chained(dz, s)
             z, dz = self._advance(z, first, inputs[k] + end * change, values, t, h)
-            s = None if s is None else chained(dz, s)
+            s = chained(dz, s)
         return z, s
 
     def run(
@@ -96,38 +96,34 @@ class Interpreted:
         nodes: np.ndarray,
         starts: np.ndarray,
         from_nodes: int,
-        results: tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray, np.ndarray | None],
+        results: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     ) -> int:
         """Fill the results as the compiled loop does; return -1 or the failing sample."""
         z_out, y_out, dy_out, ends, dends = results
         n, n_full, record = len(times), self.graph.n_full, (times, inputs)
-        edges = [*starts, n]
-        z, identity = nodes[0], None if dy_out is None else np.eye(n_full, dy_out.shape[2])
-        for segment, (first, stop) in enumerate(pairwise(edges)):
+        z = nodes[0]
+        for segment, (first, stop) in enumerate(pairwise([*starts, n])):
             node = nodes[segment * (from_nodes > 0)]
-            z, s = np.append(node[:from_nodes], z[from_nodes:]), identity
+            z, s = np.append(node[:from_nodes], z[from_nodes:]), np.eye(n_full, dy_out.shape[2])
             for k in range(first, stop):
                 if not abs(z.sum()) < DIVERGED:
                     return k
                 z_out[k] = z
                 y_out[k], z, dy, dafter = self.sample(z, record, k, values)
-                if dy_out is not None and s is not None:
-                    dy_out[k], s = chained(dy, s), chained(dafter, s)
+                dy_out[k], s = chained(dy, s), chained(dafter, s)
                 if k + 1 == n:
                     break
                 z, s = self.move(z, s, record, k, values)
-            ends[segment] = z
-            if dends is not None:
-                dends[segment] = s
+            ends[segment], dends[segment] = z, s
         return -1
 
 
 def chained(jacobian: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Combine a dense ``[d/dz, d/dp]`` with the sensitivities ``s`` of ``z``."""
+    """Combine a dense ``[d/dz, d/dp]`` with the sensitivities ``s`` of ``z``, which may be none."""
     n_full = len(s)
     with np.errstate(over="ignore", invalid="ignore"):  # an explosion is told by the states
         result = jacobian[:, :n_full] @ s
-    result[:, n_full:] += jacobian[:, n_full:]
+    result[:, n_full:] += jacobian[:, n_full : s.shape[1]]
     return result
 
 

@@ -41,11 +41,12 @@ class Run:
         Model outputs; NaN after a failure.
     states : ndarray (n_times, n_full)
         Full state before each measurement.
-    output_sensitivities : ndarray (n_times, n_outputs, n_columns) or None
-        Derivatives by the start state of the segment, then by free parameters.
+    output_sensitivities : ndarray (n_times, n_outputs, n_columns)
+        Derivatives by the start state of the segment, then by free parameters; without columns
+        where none were asked for.
     ends : ndarray (n_segments, n_full)
         State at the end of each segment, that is at the next one's first sample.
-    end_sensitivities : ndarray (n_segments, n_full, n_columns) or None
+    end_sensitivities : ndarray (n_segments, n_full, n_columns)
         Its derivatives.
     failed_at : int
         First sample whose state is not finite, or -1.
@@ -53,9 +54,9 @@ class Run:
 
     outputs: np.ndarray
     states: np.ndarray
-    output_sensitivities: np.ndarray | None
+    output_sensitivities: np.ndarray
     ends: np.ndarray
-    end_sensitivities: np.ndarray | None
+    end_sensitivities: np.ndarray
     failed_at: int
 
     @property
@@ -73,15 +74,15 @@ class Blocks:
     gram : ndarray (n_segments, n_columns + 1, n_columns + 1)
         Products ``[J r]' [J r]`` of scaled sensitivities, by the segment's start
         state and the free parameters, and scaled residuals (measured minus model).
-    ends : ndarray (n_segments, n_full) or None
-        State at the next segment's first sample.
-    end_sensitivities : ndarray (n_segments, n_full, n_columns) or None
+    ends : ndarray (n_segments, n_full)
+        State at the next segment's first sample; of no meaning where segments are not linked.
+    end_sensitivities : ndarray (n_segments, n_full, n_columns)
         Its derivatives.
     """
 
     gram: np.ndarray
-    ends: np.ndarray | None
-    end_sensitivities: np.ndarray | None
+    ends: np.ndarray
+    end_sensitivities: np.ndarray
 
 
 class Kernel:
@@ -197,10 +198,9 @@ class Kernel:
         y = np.full((n, self.n_outputs), np.nan)
         z = np.full((n, self.n_full), np.nan)
         ends = np.full((n_segments, self.n_full), np.nan)
-        dy = dends = None
-        if width := n_columns or sensitivities * self.n_columns:
-            dy = np.empty((n, self.n_outputs, width))
-            dends = np.empty((n_segments, self.n_full, width))
+        width = n_columns or sensitivities * self.n_columns
+        dy = np.empty((n, self.n_outputs, width))
+        dends = np.empty((n_segments, self.n_full, width))
         if self.library is None:
             failed = interpreted(self.model).run(
                 times, inputs, values, nodes, starts, from_nodes, (z, y, dy, ends, dends)
@@ -209,9 +209,10 @@ class Kernel:
             h_max = float(self.model.step)
             failed = call(
                 self.library.kernel_run, n, times, inputs, values, h_max, n_segments,
-                starts, nodes, from_nodes, z, y, dy, ends, dends,
+                starts, nodes, from_nodes, z, y, dy if width else None, ends,
+                dends if width else None,
             )  # fmt: skip
-        if failed >= 0 and dy is not None:
+        if failed >= 0:
             dy[failed:] = np.nan
         return Run(y, z, dy, ends, dends, failed)
 
@@ -250,17 +251,18 @@ class Kernel:
         n_segments, size = len(starts), self.n_columns + 1
         if self.library is None:
             run = self.run(times, inputs, values, nodes, starts=starts, sensitivities=True)
-            return _summed(run, measured, sigma, starts, linked)
+            return _summed(run, measured, sigma, starts)
         starts = np.ascontiguousarray(starts, dtype=np.intc)
         gram = np.empty((n_segments, size, size))
-        ends = np.empty((n_segments, self.n_full)) if linked else None
-        dends = np.empty((n_segments, self.n_full, self.n_columns)) if linked else None
+        ends = np.empty((n_segments * linked, self.n_full))
+        dends = np.empty((n_segments * linked, self.n_full, self.n_columns))
         times, inputs, values, nodes, measured, weight = doubles(
             times, inputs, values, nodes, measured, 1.0 / sigma
         )
         failed = call(
             self.library.kernel_gather, len(times), times, inputs, values, float(self.model.step),
-            n_segments, starts, nodes, measured, weight, gram, ends, dends,
+            n_segments, starts, nodes, measured, weight, gram,
+            ends if linked else None, dends if linked else None,
         )  # fmt: skip
         return Blocks(gram, ends, dends) if failed < 0 and summable(gram) else None
 
@@ -290,17 +292,16 @@ class Kernel:
         """
         z, dz = self.start(own, inputs[0], values, float(times[0]))
         found = self.run(times, inputs, values, z, sensitivities=sensitivities)
-        if found.output_sensitivities is None:
+        if not sensitivities:
             return found
         chained = by_unknowns(found.output_sensitivities, dz, self.n_own)
-        return replace(found, output_sensitivities=chained, end_sensitivities=None)
+        none = found.end_sensitivities[:, :, :0]
+        return replace(found, output_sensitivities=chained, end_sensitivities=none)
 
 
-def _summed(
-    run: Run, measured: np.ndarray, sigma: np.ndarray, starts: np.ndarray, linked: bool
-) -> Blocks | None:
+def _summed(run: Run, measured: np.ndarray, sigma: np.ndarray, starts: np.ndarray) -> Blocks | None:
     """The same sums by NumPy, from a run with its sensitivities."""
-    if not run.ok or run.output_sensitivities is None:
+    if not run.ok:
         return None
     present = np.isfinite(measured)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -310,9 +311,7 @@ def _summed(
         # A segment's gram is [J r]' [J r] over its own rows.
         parts = [part.reshape(-1, both.shape[2]) for part in np.split(both, starts[1:])]
         gram = np.array([part.T @ part for part in parts])
-    if not summable(gram):
-        return None
-    return Blocks(gram, run.ends, run.end_sensitivities) if linked else Blocks(gram, None, None)
+    return Blocks(gram, run.ends, run.end_sensitivities) if summable(gram) else None
 
 
 def summable(squares: np.ndarray) -> bool:

@@ -117,7 +117,7 @@ class VehicleInformation:
             sensitivities=True,
         )
         dy, dends = run.output_sensitivities, run.end_sensitivities
-        if not run.ok or dy is None or dends is None or not np.isfinite(dy).all():
+        if not run.ok or not np.isfinite(dy).all():
             return None
         n_full = runner.n_full
         maps = np.empty((len(self.edges), *dz.shape))
@@ -182,7 +182,7 @@ class VehicleInformation:
             z, dz = self.kernel.start(self.own, commands[0], self.values, float(times[0]))
             chain = self._chains(dz[None])[0]
         run = self.kernel.run(times, part, self.values, z, sensitivities=True)
-        if not run.ok or run.output_sensitivities is None:
+        if not run.ok:
             return None
         n_kept = len(self.columns)
         weights = by_rows[first:] / self.sigma[:, None]

@@ -681,7 +681,7 @@ def _ahead(
         seen = slice(begin, begin + before + ahead)
         times, inputs = record.times[seen], record.inputs[seen]
         run = compiled.run(times, inputs, model.value_vector, node, sensitivities=True)
-        if run.ok and run.output_sensitivities is not None:
+        if run.ok:
             later = run.output_sensitivities[before:, :, : compiled.n_full]
             variance = np.einsum("tij,jk,tik->ti", later, inverse_of(known[row]), later)
             errors[row] = (record.outputs[seen] - run.outputs)[before:]

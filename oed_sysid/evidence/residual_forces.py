@@ -111,7 +111,6 @@ class ResidualForces:
         self.covariance = inverse_of(self.point.equations[0])
         self.columns = []
         for index, (part, path) in enumerate(zip(passes, self.paths, strict=True)):
-            assert part.rows is not None
             rows = part.rows * problem.columns_of(unknowns, index)[1]
             self.columns.append(path.disturbances(rows * np.sqrt(part.variances)[:, :, None]))
 

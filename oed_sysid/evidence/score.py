@@ -114,7 +114,6 @@ class Rows:
         self.times = [record.times for record in problem.records]
         known, extra = [], []
         for index, part in enumerate(passes):
-            assert part.rows is not None
             columns = layout.record_columns(index)
             # The chain rule, where unknowns are logarithms; zero where nothing was measured.
             size = np.append(layout.record_slopes(unknowns, index), np.ones(len(smooth)))

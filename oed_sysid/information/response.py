@@ -186,7 +186,7 @@ def respond(model: Model, given: CommandedRun) -> Response:
     run = kernel(model).simulate(
         given.times, given.inputs, values, given.initial, sensitivities=True
     )
-    if not run.ok or run.output_sensitivities is None:
+    if not run.ok:
         # The simulator says in words which state grew and what to do.
         simulate_inputs(model, given.times, inputs=given.inputs, initial=given.initial)
         raise DesignError(f"The sensitivities of run {given.name!r} are not finite. Shorten it.")
@@ -293,7 +293,7 @@ class Innovations:
             given.times, given.inputs, values, given.initial, measured, random, longest_step=held
         )
         swept = kernel.filter(along, names=free, rows=True, gains=changes is not None)
-        if not swept.ok or swept.rows is None:
+        if not swept.ok:
             raise DesignError(
                 f"The filter of run {given.name!r} diverges. Check levels and times of the "
                 "disturbance forces, or shorten the run."
@@ -301,7 +301,7 @@ class Innovations:
         n_columns = len(model.states) + len(free)
         seen = np.isfinite(measured)
         rows = swept.rows[seen][:, :n_columns]
-        if changes is None or swept.gains is None:
+        if changes is None:
             return rows
         roots, moved = np.sqrt(swept.variances[seen]), []
         for change in np.moveaxis(changes(nominal.outputs), 2, 0):

@@ -600,7 +600,6 @@ class ReducedFilter(Reduced):
         self.std = [np.sqrt(np.maximum(part.variances, 1e-300)) for part in self.passes]
         rows, errors = [], []
         for index, part in enumerate(self.passes):
-            assert part.rows is not None
             columns = layout.record_columns(index)
             size = layout.record_slopes(unknowns, index)
             # An innovation falls where the output rises; a gap says nothing.

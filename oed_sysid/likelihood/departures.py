@@ -434,7 +434,7 @@ def _sensitivities(fit: Estimate, index: int) -> tuple[Run, np.ndarray, np.ndarr
     z0, dz0 = runner.start(fit.initial_states[index], record.inputs[0], values, record.times[0])
     run = runner.run(record.times, record.inputs, values, z0, sensitivities=True)
     found = run.output_sensitivities
-    if found is None or not np.isfinite(found).all():
+    if not np.isfinite(found).all():
         return None
     return run, found[:, :, : runner.n_full], by_unknowns(found, dz0, runner.n_own)
 

@@ -370,12 +370,10 @@ class Filtered(Posed):
         noises = wide.disturbed(unknowns)
 
         def one(index: int) -> tuple[np.ndarray, bool]:
-            gains, hold = found[index].gains, self.longest_hold
-            assert gains is not None
             along = wide._along(unknowns, index, noises[index])
-            step = step_within(along.times, hold)
+            step = step_within(along.times, self.longest_hold)
             along = replace(along, active=self.active, longest_step=step)
-            return wide.kernel.replay(along, gains)
+            return wide.kernel.replay(along, found[index].gains)
 
         results = both_cores(one, range(len(self.records)))
         return [part for part, _ in results] if all(ok for _, ok in results) else None
@@ -450,7 +448,6 @@ class Filtered(Posed):
             # Of a scalar innovation: -ln L = (e^2/S + ln S) / 2, whose expected information is
             # that of the mean, slope' slope, and of the variance, spread' spread / 2.
             white = part.innovations[seen] / root
-            assert part.rows is not None
             rows = part.rows[seen]
             slope = rows[:, : width + n_levels] * size
             spread = np.zeros_like(slope)
@@ -485,10 +482,9 @@ class Filtered(Posed):
             column, index = job
             shifted = unknowns.copy()
             shifted[column] += std[column]
-            along, gains = self._along(shifted, index, noises[index]), base[index].gains
-            assert gains is not None
+            along = self._along(shifted, index, noises[index])
             whole = self.kernel.filter(replace(along, passing=self.passing), own_columns=False)
-            frozen, _ = self.kernel.replay(along, gains)
+            frozen, _ = self.kernel.replay(along, base[index].gains)
             return whole.innovations - frozen, whole.variances
 
         return dict(zip(jobs, both_cores(one, jobs), strict=True))
@@ -502,12 +498,11 @@ def _among_all(part: FilterPass, met: np.ndarray, n_levels: int) -> FilterPass:
     begin, whole = len(part.gram) - 1 - len(met), len(part.gram) - 1 - len(met) + n_levels
     where = np.array([*range(begin), *(begin + met), whole], dtype=int)
     gram, slope = np.zeros((whole + 1, whole + 1)), np.zeros(n_levels)
-    information, rows = np.zeros((n_levels, n_levels)), part.rows
+    information = np.zeros((n_levels, n_levels))
+    rows = np.zeros((*part.rows.shape[:2], whole + n_levels))
     gram[np.ix_(where, where)], slope[met] = part.gram, part.level_slope
     information[np.ix_(met, met)] = part.level_information
-    if rows is not None:
-        rows = np.zeros((*rows.shape[:2], whole + n_levels))
-        rows[..., [*where[:-1], *(whole + met)]] = part.rows
+    rows[..., [*where[:-1], *(whole + met)]] = part.rows
     return replace(part, gram=gram, rows=rows, level_slope=slope, level_information=information)
 
 

@@ -240,8 +240,6 @@ def _condensed(
 
     Also the maps of its nodes and the defects; None where these overflow.
     """
-    assert blocks.ends is not None
-    assert blocks.end_sensitivities is not None
     defects = blocks.ends[:-1] - nodes[1:]
     with np.errstate(over="ignore", invalid="ignore"):
         maps = node_maps(blocks.end_sensitivities, defects, dz0, n_own, slopes)

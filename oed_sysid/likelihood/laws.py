@@ -412,9 +412,6 @@ class _End:
 
 def _drawn(problem: Filtered, part: FilterPass, rng: np.random.Generator) -> FilterPass:
     """A pass with innovations drawn as the filter says they are, its path moved by them."""
-    assert part.rows is not None
-    assert part.gains is not None
-    assert part.moves is not None
     seen, n = np.isfinite(part.innovations), len(part.gram) - 1
     white = np.where(seen, rng.standard_normal(seen.shape), np.nan)
     innovations = white * np.sqrt(part.variances)

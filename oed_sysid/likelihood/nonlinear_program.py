@@ -293,7 +293,7 @@ def _predicted(problem: Shooting | Filtered, unknowns: np.ndarray) -> list[_Pred
         values = model.with_values(dict(zip(layout.free_names, free, strict=True))).value_vector
         own = unknowns[columns[: layout.n_own]]
         run = runner.simulate(record.times, record.inputs, values, own, sensitivities=True)
-        if not run.ok or run.output_sensitivities is None:
+        if not run.ok:
             return []
         by_unknowns = np.zeros((*run.outputs.shape, len(unknowns)))
         by_unknowns[:, :, columns] = run.output_sensitivities * slopes

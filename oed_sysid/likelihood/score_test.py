@@ -320,7 +320,6 @@ class Scored:
             where, size = self.problem.columns_of(self.unknowns, index)
             seen = np.isfinite(part.innovations)
             white = part.innovations[seen] / np.sqrt(part.variances[seen])
-            assert part.rows is not None
             rows, new = part.rows[seen], columns[seen]
             mean, spread = new[:, :count], new[:, count:]
             cross[where] += size[:, None] * (rows[:, : len(where)].T @ mean)
@@ -384,7 +383,7 @@ class Scored:
         if not all(part.ok for part in passes):
             return 0.0, nothing
         size = np.tile(new.scale, 2)
-        added = (part.rows * size for part in passes if part.rows is not None)
+        added = (part.rows * size for part in passes)
         matrix, right = self.beside(added, len(names))
         limits, own = problem.limits, len(self.unknowns)
         lower = np.append(limits.lower - self.unknowns, nothing)

@@ -331,14 +331,14 @@ class Shooting(Posed):
         """A record's outputs by its unknowns alone; None where this overflows."""
         record, starts = self.records[index], self.starts[index]
         run = self.run(point.unknowns, index, point.nodes[index], sensitivities=True)
-        dy, dends = run.output_sensitivities, run.end_sensitivities
-        if not run.ok or dy is None or dends is None or not np.isfinite(run.ends[:-1]).all():
+        if not run.ok or not np.isfinite(run.ends[:-1]).all():
             return None
+        dy = run.output_sensitivities
         n_full, defects = self.kernel.n_full, run.ends[:-1] - point.nodes[index]
         _, dz0 = self.full_start(point.unknowns, index)
         with np.errstate(over="ignore", invalid="ignore"):
             slopes = self.slopes(point.unknowns, index)
-            maps = node_maps(dends, defects, dz0, self.layout.n_own, slopes)
+            maps = node_maps(run.end_sensitivities, defects, dz0, self.layout.n_own, slopes)
             condensed = np.empty((*run.outputs.shape, maps.shape[2]))
             flat = condensed.reshape(-1, maps.shape[2])
             rows = dy.reshape(-1, dy.shape[2])

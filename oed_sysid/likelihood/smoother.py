@@ -83,8 +83,6 @@ class Path:
         Behind the disturbances stand ``n_coloured`` colours, then ``n_second`` further states of
         disturbances.
         """
-        assert part.gains is not None
-        assert part.moves is not None
         _, n_outputs, _, size = part.gains.shape
         n_random = part.moves.shape[1] - size
         first = size - n_second - n_coloured - n_random
@@ -198,8 +196,6 @@ def interpolated(part: FilterPass, used: np.ndarray) -> np.ndarray:
     ndarray (n_times, n_outputs)
         NaN where nothing was measured.
     """
-    assert part.gains is not None
-    assert part.moves is not None
     used = used & np.isfinite(part.innovations)
     # From sample to sample as one move; then all samples at once, one output after the other.
     path = Path.of(replace(part, innovations=np.where(used, part.innovations, np.nan)))
