@@ -114,17 +114,15 @@ def solve_constrained(
     reason : str
         See :class:`~oed_sysid.likelihood.gauss_newton.Solution`.
     """
-    user, limits = UserConstraints(problem.model, constraints), problem.limits
+    user, limits = [Constraint.of(problem.model, text) for text in constraints], problem.limits
     scale, n = limits.scale, len(limits.scale)
-    counts = [user.counts(len(record.times)) for record in problem.dataset]
-    lower, upper = (
-        np.concatenate([np.repeat(side, one) for one in counts])
-        for side in (user.lower, user.upper)
-    )
+    asked = [(one, record.times[one.samples]) for record in problem.dataset for one in user]
+    sides = [[one.lower, one.upper] for one, times in asked for _ in times]
+    lower, upper = np.reshape(sides, (-1, 2)).T
 
     def constrained_by(unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        told = [user.linear(one) for one in _predicted(problem, unknowns)]
-        if not told:  # the undisturbed run diverges
+        told = [one.linear(part) for part in _predicted(problem, unknowns) for one in user]
+        if not told:  # the undisturbed run diverges, or nothing constrains it
             return np.full(len(lower), np.nan), np.full((len(lower), n), np.nan)
         rows, slopes = zip(*told, strict=True)
         return np.concatenate(rows), np.vstack(slopes)
@@ -289,8 +287,8 @@ def _predicted(problem: Shooting | Filtered, unknowns: np.ndarray) -> list[_Pred
     place = [model.parameter_names.index(name) for name in layout.free_names]
     for index, record in enumerate(problem.dataset):
         columns, slopes = layout.record_columns(index), layout.record_slopes(unknowns, index)
-        free = layout.parameters(unknowns, index)
-        values = model.with_values(dict(zip(layout.free_names, free, strict=True))).value_vector
+        values = model.value_vector
+        values[place] = layout.parameters(unknowns, index)
         own = unknowns[columns[: layout.n_own]]
         run = runner.simulate(record.times, record.inputs, values, own, sensitivities=True)
         if not run.ok:
@@ -304,126 +302,91 @@ def _predicted(problem: Shooting | Filtered, unknowns: np.ndarray) -> list[_Pred
 
 
 # Functions that choose a sample: of the first, or of the last one of a record.
-_ENDS = {"start": 0, "end": -1}
+_ENDS = {"start": slice(0, 1), "end": slice(-1, None)}
 
 
-class UserConstraints:
-    """The user's constraints: among parameters, along predicted outputs, and at their ends.
-
-    Parameters
-    ----------
-    model : Model
-        Names parameters and outputs.
-    texts : sequence of str
-        Comparisons in SI units.
+@dataclass(frozen=True, eq=False)
+class Constraint:
+    """One constraint of the user: among parameters, along predicted outputs, or at their ends.
 
     Attributes
     ----------
-    lower, upper : ndarray (n_constraints,)
+    text : str
+        A comparison in SI units.
+    difference : casadi.Function
+        Left less right side and its derivatives, of outputs ``(n_outputs,)`` and parameters
+        ``(n_parameters,)``.
+    of_outputs : bool
+        Whether it holds an output.
+    samples : slice
+        Of a record, at which it is asked; the first alone where it holds no output.
+    lower, upper : float
         Of left less right side.
-    of_outputs : tuple of int
-        Positions of those that hold an output.
     """
 
-    def __init__(self, model: Model, texts: Sequence[str]) -> None:
+    text: str
+    difference: ca.Function
+    of_outputs: bool
+    samples: slice
+    lower: float
+    upper: float
+
+    @classmethod
+    def of(cls, model: Model, text: str) -> Constraint:
+        """Read a comparison of parameters and outputs of a model."""
         values = ca.SX.sym("values", len(model.all_parameters))
         outputs = ca.SX.sym("outputs", len(model.outputs))
         scope = dict(zip(model.output_names, ca.vertsplit(outputs), strict=True))
         scope |= dict(zip(model.parameter_names, ca.vertsplit(values), strict=True))
-        self.texts = tuple(texts)
-        self._functions, self._places = list[ca.Function](), list[int | None]()
-        self._rows = dict[tuple[int, ...], ca.Function]()
-        lower, upper = [], []
-        for text in texts:
-            left, right, kind, place = _compared(text)
-            for side in (left, right):
-                expressions.check(side, tuple(scope), where="Constraint")
-            difference = expressions.to_casadi(left, scope) - expressions.to_casadi(right, scope)
-            if not ca.depends_on(difference, ca.vertcat(values, outputs)):
-                raise ModelError(f"Constraint {text!r} holds no parameter and no output.")
-            if place is not None and not ca.depends_on(difference, outputs):
-                raise ModelError(f"Constraint {text!r}: start and end are those of an output.")
-            self._functions.append(ca.Function("constraint", [outputs, values], [difference]))
-            self._places.append(place)
-            lower.append(-np.inf if kind in (ast.Lt, ast.LtE) else 0.0)
-            upper.append(np.inf if kind in (ast.Gt, ast.GtE) else 0.0)
-        self.lower, self.upper = np.array(lower), np.array(upper)
-        self.of_outputs = tuple(
-            i for i, one in enumerate(self._functions) if one.jac_sparsity(0, 0).nnz() > 0
+        left, right, kind, end = _compared(text)
+        for side in (left, right):
+            expressions.check(side, tuple(scope), where="Constraint")
+        level = expressions.to_casadi(left, scope) - expressions.to_casadi(right, scope)
+        of_outputs = bool(ca.depends_on(level, outputs))
+        if not ca.depends_on(level, ca.vertcat(values, outputs)):
+            raise ModelError(f"Constraint {text!r} holds no parameter and no output.")
+        if end and not of_outputs:
+            raise ModelError(f"Constraint {text!r}: start and end are those of an output.")
+        derived = [level, ca.jacobian(level, outputs), ca.jacobian(level, values)]
+        return cls(
+            text,
+            ca.Function("constraint", [outputs, values], derived),
+            of_outputs,
+            _ENDS.get(end, slice(None) if of_outputs else slice(0, 1)),
+            -np.inf if kind in (ast.Lt, ast.LtE) else 0.0,
+            np.inf if kind in (ast.Gt, ast.GtE) else 0.0,
         )
 
-    def counts(self, n_times: int) -> list[int]:
-        """Rows of every constraint on a record of so many samples."""
-        return [
-            n_times if i in self.of_outputs and place is None else 1
-            for i, place in enumerate(self._places)
-        ]
-
-    def of_record(self, outputs: ca.MX, values: ca.MX) -> ca.MX:
-        """Left less right sides of a record, ``(n_rows,)``, in the order of the constraints.
-
-        Parameters
-        ----------
-        outputs : casadi.MX or DM (n_outputs, n_times)
-            Predicted; without columns where no constraint holds one.
-        values : casadi.MX or DM (n_parameters,)
-        """
-        rows = []
-        for i, (function, place) in enumerate(zip(self._functions, self._places, strict=True)):
-            if i not in self.of_outputs:
-                rows.append(function(np.zeros(function.size1_in(0)), values))
-            elif place is None:
-                n = outputs.shape[1]
-                rows.append(function.map(n)(outputs, ca.repmat(values, 1, n)).T)
-            else:
-                rows.append(function(outputs[:, place], values))
-        return ca.vertcat(*rows)
-
     def linear(self, record: _Predicted) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of :meth:`of_record` in numbers, and their derivatives by all unknowns."""
-        outputs = record.outputs if self.of_outputs else record.outputs[:0]
-        shape = outputs.T.shape
-        if shape not in self._rows:
-            seen, values = ca.MX.sym("seen", *shape), ca.MX.sym("values", len(record.values))
-            rows = self.of_record(seen, values)
-            derived = [rows, ca.jacobian(rows, seen), ca.jacobian(rows, values)]
-            self._rows[shape] = ca.Function("rows", [seen, values], derived)
-        level, by_outputs, by_values = self._rows[shape](outputs.T, record.values)
-        slopes = np.asarray(by_values) @ record.values_by_unknowns
-        if self.of_outputs:
-            slopes += by_outputs.sparse() @ record.by_unknowns.reshape(outputs.size, -1)
-        return np.asarray(level).ravel(), slopes
+        """Left less right side at every sample asked, and its derivatives by all unknowns."""
+        outputs, by_unknowns = record.outputs[self.samples], record.by_unknowns[self.samples]
+        # One column for each sample, for which CasADi repeats the parameters.
+        found = (np.asarray(one) for one in self.difference(outputs.T, record.values))
+        level, by_outputs, by_values = (one.reshape(len(outputs), -1) for one in found)
+        slopes = np.einsum("to,tou->tu", by_outputs, by_unknowns)
+        return level.ravel(), slopes + by_values @ record.values_by_unknowns
 
-    def tightest(self, record: _Predicted) -> Iterator[tuple[str, int | None, float, np.ndarray]]:
-        """Where each constraint of a record is nearest to being broken.
+    def tightest(self, record: _Predicted) -> tuple[int, float, np.ndarray]:
+        """Where it is nearest to being broken.
 
-        Yields
-        ------
-        text : str
-        sample : int or None
-            None where it holds no output.
+        Returns
+        -------
+        sample : int
         excess : float
             Left less right side, with the sign in which it breaks the constraint.
         slope : ndarray (n_unknowns,)
             Derivatives of the excess.
         """
         level, slopes = self.linear(record)
-        counts = self.counts(len(record.outputs))
-        ends = np.cumsum(counts)
-        for i, (text, place, count, end) in enumerate(
-            zip(self.texts, self._places, counts, ends, strict=True)
-        ):
-            # Brought to one sign: above zero breaks the constraint.
-            sign = 1.0 if self.lower[i] == -np.inf else -1.0
-            own = sign * level[end - count : end]
-            row = int(np.nanargmax(own))
-            sample = row if place is None else place % len(record.outputs)
-            found = sample if i in self.of_outputs else None
-            yield text, found, float(own[row]), sign * slopes[end - count + row]
+        # Brought to one sign: above zero breaks the constraint.
+        sign = 1.0 if self.lower == -np.inf else -1.0
+        row = int(np.nanargmax(sign * level))
+        sample = range(len(record.outputs))[self.samples][row]
+        return sample, float(sign * level[row]), sign * slopes[row]
 
 
-def _compared(text: str) -> tuple[str, str, type, int | None]:
-    """Left and right side, kind of comparison, and the sample that start() or end() chooses."""
+def _compared(text: str) -> tuple[str, str, type, str]:
+    """Left and right side, kind of comparison, and which of start() and end() is in it, if any."""
     try:  # an equation is allowed here, in expressions it is not
         tree = ast.parse(text, mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError):
@@ -434,24 +397,24 @@ def _compared(text: str) -> tuple[str, str, type, int | None]:
         )
     chosen = _Chosen()
     tree = chosen.visit(tree)
-    if len(chosen.places) > 1:
+    if len(chosen.ends) > 1:
         raise ModelError(f"Constraint {text!r} mixes start and end. Write one constraint for each.")
-    place = next(iter(chosen.places), None)
-    return ast.unparse(tree.left), ast.unparse(tree.comparators[0]), type(tree.ops[0]), place
+    end = next(iter(chosen.ends), "")
+    return ast.unparse(tree.left), ast.unparse(tree.comparators[0]), type(tree.ops[0]), end
 
 
 class _Chosen(ast.NodeTransformer):
     """Takes start() and end() away, and remembers them."""
 
     def __init__(self) -> None:
-        self.places: set[int] = set()
+        self.ends: set[str] = set()
 
     def visit_Call(self, node: ast.Call) -> ast.AST:
         """Return what stands in the brackets."""
         self.generic_visit(node)
         name = getattr(node.func, "id", "")
         if name in _ENDS and len(node.args) == 1 and not node.keywords:
-            self.places.add(_ENDS[name])
+            self.ends.add(name)
             return node.args[0]
         return node
 
@@ -499,7 +462,7 @@ def constrained(fit: Fit, end: Solution | FilteredSolution, constraints: Sequenc
     covariance = inverse_of(total)
     found = list(_bounds(problem, unknowns))
     if constraints:
-        found += _constraints(problem, unknowns, UserConstraints(problem.model, constraints))
+        found += _constraints(problem, unknowns, constraints)
     result = sorted(_binding(found, covariance, slope), key=lambda pair: -pair[0].distance)
     known = [one for _, one in result if one.known]
     # An equation is known wherever the optimum of the records lies.
@@ -570,27 +533,26 @@ def _mean_square(distance: float) -> float:
 
 def _bounds(problem: Shooting | Filtered, unknowns: np.ndarray) -> Iterator[_Active]:
     """Every bound of a shared parameter."""
-    layout = problem.layout
-    columns = layout.record_columns(0)[layout.n_own :]
-    values, slopes = layout.parameters(unknowns, 0), layout.slopes(unknowns[columns])
-    for index, name in zip(layout.shared, layout.shared_names, strict=True):
+    values, slopes = problem.layout.shared_values(unknowns)
+    for index, name in enumerate(problem.layout.shared_names):
         parameter = problem.model.parameter(name)
         for sign, limit, relation in ((-1, parameter.lower, ">="), (1, parameter.upper, "<=")):
             gradient = np.zeros(len(unknowns))
-            gradient[columns[index]] = sign * slopes[index]
+            gradient[index] = sign * slopes[index]
             excess = float(sign * (values[index] - limit))
             yield _Active(f"{name} {relation} {limit:.6g}", excess, gradient)
 
 
 def _constraints(
-    problem: Shooting | Filtered, unknowns: np.ndarray, user: UserConstraints
+    problem: Shooting | Filtered, unknowns: np.ndarray, constraints: Sequence[str]
 ) -> Iterator[_Active]:
     """Every constraint of the user, along a path where it is exceeded most."""
+    user = [Constraint.of(problem.model, text) for text in constraints]
     # None is predicted where the model diverges.
     pairs = zip(problem.dataset, _predicted(problem, unknowns), strict=False)
     for index, (record, predicted) in enumerate(pairs):
-        for text, sample, excess, gradient in user.tightest(predicted):
-            if sample is None and index:
-                continue
-            where = "" if sample is None else f" at {record.times[sample]:g} s of {record.name}"
-            yield _Active(f"{text}{where}", excess, gradient, known=True)
+        # What holds no output is the same in every record.
+        for one in (one for one in user if one.of_outputs or not index):
+            sample, excess, gradient = one.tightest(predicted)
+            where = f" at {record.times[sample]:g} s of {record.name}" if one.of_outputs else ""
+            yield _Active(f"{one.text}{where}", excess, gradient, known=True)
