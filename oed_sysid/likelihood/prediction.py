@@ -295,7 +295,7 @@ def _predict(
     else:
         shooting = Shooting(model, Dataset((record,)), noise.sensors, known_starts=known)
         run = WholeRun.at(shooting, shooting.start_unknowns())
-    if run.jacobian is None:
+    if run.diverges:
         empty = np.full(record.outputs.shape, np.nan)
         return empty, empty, run.states, run.local
     variance = _variance(run, covariance, noise, way, known)
@@ -307,7 +307,6 @@ def _variance(
 ) -> np.ndarray:
     """Variance of the outputs of a run, white noise of the sensors apart."""
     jacobian = run.jacobian
-    assert jacobian is not None
     spread, answer = _spread(run, covariance, way, known)
     by_other = jacobian[:, :, run.others]
     # Total derivative: shared parameters move the outputs, and the start that is fitted to them.
@@ -357,18 +356,15 @@ def _spread(
     run: WholeRun, covariance: np.ndarray, way: str, known: KnownStarts | None
 ) -> tuple[Spread, np.ndarray | None]:
     """What is uncertain of a run, and how its start answers a departure where it is estimated."""
-    assert run.jacobian is not None
     shooting, answer = run.shooting, None
     layout, shared, others = shooting.layout, run.shared, run.others
-    n_own = layout.n_own
     gain = np.zeros((len(others), len(shared)))
     if way == "fit":
         # Estimated anew for every value of the shared parameters, and noisy itself.
         answer, other_covariance = run.answer()
-        outer = (run.jacobian[:, :, shared] * run.weights()[:, :, None]).reshape(-1, len(shared))
-        gain = answer @ outer
+        gain = answer @ run.rows()[:, shared]
     else:
-        std = shooting.guess_std[0, :n_own] if known is None else known.std[0]
+        std = shooting.guess_std[0, : layout.n_own] if known is None else known.std[0]
         other_covariance = np.diag([*np.nan_to_num(std) ** 2, *np.zeros(len(layout.local))])
     # Of the shared unknowns, from that of the values of shared parameters.
     slopes = layout.shared_values(run.unknowns)[1]

@@ -61,7 +61,7 @@ from oed_sysid.likelihood.projection import inverse_of, root_of
 from oed_sysid.likelihood.realisation import drawn_disturbances, gauss_markov
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import BEYOND, RANK_TOLERANCE
+from oed_sysid.runtime.constants import BEYOND
 from oed_sysid.runtime.display import as_dict
 from oed_sysid.text.units import shown_unit
 
@@ -80,25 +80,24 @@ class WholeRun:
     unknowns : ndarray (n_unknowns,)
     outputs : ndarray (n_times, n_outputs)
         NaN from where the model diverges.
-    jacobian : ndarray (n_times, n_outputs, n_unknowns), or None
+    jacobian : ndarray (n_times, n_outputs, n_unknowns)
         Derivatives of the outputs by shared parameters, start states and parameters of the record,
-        in the order of the unknowns; None where the model diverges.
+        in the order of the unknowns; NaN where the model diverges.
     """
 
     shooting: Shooting
     unknowns: np.ndarray
     outputs: np.ndarray
-    jacobian: np.ndarray | None
+    jacobian: np.ndarray
 
     @classmethod
     def at(cls, shooting: Shooting, unknowns: np.ndarray) -> WholeRun:
         """The run at given unknowns."""
         outputs = shooting.run(unknowns, 0).outputs
         found = shooting.linearise(shooting.continuous(unknowns))
-        if found is None:
-            return cls(shooting, unknowns, outputs, None)
-        jacobian = np.empty((*outputs.shape, len(unknowns)))
-        jacobian[:, :, shooting.layout.record_columns(0)] = found.jacobians[0]
+        jacobian = np.full((*outputs.shape, len(unknowns)), np.nan)
+        if found is not None:
+            jacobian[:, :, shooting.layout.record_columns(0)] = found.jacobians[0]
         return cls(shooting, unknowns, outputs, jacobian)
 
     @classmethod
@@ -141,6 +140,11 @@ class WholeRun:
         return cls.at(shooting, point.unknowns if diverged else found.point.unknowns)
 
     @property
+    def diverges(self) -> bool:
+        """Whether the model does, so that nothing follows from the run."""
+        return bool(np.isnan(self.jacobian).any())
+
+    @property
     def record(self) -> Record:
         """The record."""
         return self.shooting.records[0]
@@ -152,9 +156,8 @@ class WholeRun:
 
     @property
     def others(self) -> np.ndarray:
-        """Positions of start states and parameters of the record among the unknowns."""
-        layout = self.shooting.layout
-        return layout.record_columns(0)[layout.own]
+        """Positions of start states and parameters of the record, behind these."""
+        return np.arange(len(self.shooting.layout.shared), len(self.unknowns))
 
     @property
     def states(self) -> dict[str, float]:
@@ -171,6 +174,10 @@ class WholeRun:
         """Inverse standard deviations ``(n_times, n_outputs)``, zero where nothing was measured."""
         return np.isfinite(self.record.outputs) / self.shooting.sigma
 
+    def rows(self) -> np.ndarray:
+        """Derivatives in standard deviations, ``(n_times * n_outputs, n_unknowns)``."""
+        return (self.jacobian * self.weights()[:, :, None]).reshape(-1, len(self.unknowns))
+
     def whitened(self) -> np.ndarray:
         """Residuals in standard deviations ``(n_times, n_outputs)``, zero where not measured."""
         left = self.record.residuals(self.outputs)
@@ -185,13 +192,10 @@ class WholeRun:
             Takes a whitened departure to the change of the estimates.
         covariance : ndarray (n_others, n_others)
         """
-        assert self.jacobian is not None
-        own = self.jacobian[:, :, self.others] * self.weights()[:, :, None]
-        prior = np.sqrt(self.shooting.limits.prior_weight[self.others])
-        rows = np.vstack([own.reshape(-1, len(self.others)), np.diag(prior)])
-        # Least squares with priors as rows: what a fit of the start makes of a departure.
-        inverse = np.linalg.pinv(rows, rcond=RANK_TOLERANCE)
-        return inverse[:, : len(rows) - len(prior)], inverse @ inverse.T
+        rows, prior = self.rows()[:, self.others], self.shooting.limits.prior_weight[self.others]
+        # Least squares with priors: what a fit of the start makes of a departure.
+        inverse = inverse_of(rows.T @ rows + np.diag(prior))
+        return inverse @ rows.T, inverse
 
     def simulated(self, unknowns: np.ndarray) -> np.ndarray:
         """Outputs at other unknowns, ``(n_times, n_outputs)``."""
@@ -564,7 +568,7 @@ def _near(own: Sequence[WholeRun], runs: Sequence[WholeRun]) -> bool:
     """
     missed = moved = 0.0
     for one, other in zip(own, runs, strict=True):
-        if one.jacobian is None:
+        if one.diverges:
             return False
         away = (other.outputs - one.outputs) * one.weights()
         step = other.unknowns - one.unknowns
@@ -600,7 +604,7 @@ def without_process_noise(
     points = [shooting.start_point()]
     if nominal:
         points.append(Shooting(fit.model.with_values(nominal), fit.dataset, sigma).start_point())
-    if all(run.jacobian is not None for run in own):
+    if not any(run.diverges for run in own):
         begin = shooting.start_unknowns()
         for index, run in enumerate(own):
             columns = shooting.layout.record_columns(index)
@@ -638,7 +642,7 @@ def _departure(
     process noise only where that was declared.
     """
     nothing = np.full(len(declared), np.nan)
-    if any(run.jacobian is None for run in runs):
+    if any(run.diverges for run in runs):
         return nothing, np.inf, "the model diverges without process noise"
     (levels, error), covariance = granted, fit.shared_covariance
     taken = np.isfinite(declared) | (not fit.noise.has_forces)
@@ -692,7 +696,6 @@ def _drawn(run: WholeRun, noise: NoiseModel, rng: np.random.Generator) -> np.nda
 
 def _moved(run: WholeRun, moved: np.ndarray) -> np.ndarray:
     """Whitened departures by other shared parameters, ``(n_draws, n_times, n_outputs)``."""
-    assert run.jacobian is not None
     slopes = run.shooting.layout.shared_values(run.unknowns)[1]
     away = np.einsum("tij,kj->kti", run.jacobian[:, :, run.shared], moved / slopes)
     return np.asarray(away * run.weights())
@@ -718,26 +721,19 @@ class _Estimator:
     @classmethod
     def of(cls, runs: Sequence[WholeRun], *, shared: bool) -> _Estimator:
         """The estimator of start states and parameters of every record, and of shared ones."""
-        begin = len(runs[0].shared)
-        size = begin + sum(len(run.others) for run in runs)
-        matrix, prior = np.zeros((size, size)), np.zeros(size)
-        rows, columns = [], []
-        for run in runs:
-            assert run.jacobian is not None
-            own = np.empty(len(run.unknowns), dtype=int)
-            own[run.shared] = run.shared
-            own[run.others] = begin + np.arange(len(run.others))
-            begin += len(run.others)
-            part = (run.jacobian * run.weights()[:, :, None]).reshape(-1, len(own))
+        layout = replace(runs[0].shooting.layout, n_records=len(runs))
+        here = layout.record_columns(0)
+        columns = tuple(layout.record_columns(index) for index in range(len(runs)))
+        rows = tuple(run.rows()[:, here] for run in runs)
+        matrix, prior = np.zeros((layout.n_unknowns,) * 2), np.zeros(layout.n_unknowns)
+        for run, own, part in zip(runs, columns, rows, strict=True):
             matrix[np.ix_(own, own)] += part.T @ part
-            prior[own] = run.shooting.limits.prior_weight
-            rows.append(part)
-            columns.append(own)
+            prior[own] = run.shooting.limits.prior_weight[here]
         matrix += np.diag(prior)
         if not shared:
             held = runs[0].shared
             matrix[held], matrix[:, held] = 0.0, 0.0
-        return cls(tuple(rows), tuple(columns), inverse_of(matrix))
+        return cls(rows, columns, inverse_of(matrix))
 
     def leaves(self, away: Sequence[np.ndarray]) -> np.ndarray:
         """Sums of squares that are left of whitened departures, ``(n_draws, n_outputs)``."""
