@@ -937,7 +937,10 @@ class FilterKernel(Kernel):
         z0, dz0, kept = self._begun(along, passing)
         chosen = np.array([self._free[name] for name in names], dtype=int)
         random = [self._free[name] for name in noise.acting]
-        self._check_processes(noise)
+        if crowded := [n for n in noise.acting if noise.disturbances.count(n) > MOST_PROCESSES]:
+            raise ModelError(
+                f"More than {MOST_PROCESSES} processes act on {crowded[0]!r}. Take fewer seas."
+            )
         n_passing = len(passing)
         n_active = len(kept) - n_passing
         own_states = range(self.n_own if own_columns else 0)
@@ -1045,13 +1048,6 @@ class FilterKernel(Kernel):
         z0, dz0 = self.start(along.own, along.inputs[0], along.values, along.times[0])
         active = range(self.n_full) if along.active is None else along.active
         return z0, dz0, np.ascontiguousarray([*active, *passing], dtype=np.intc)
-
-    def _check_processes(self, noise: Disturbed) -> None:
-        for name in noise.acting:
-            if noise.disturbances.count(name) > MOST_PROCESSES:
-                raise ModelError(
-                    f"More than {MOST_PROCESSES} processes act on {name!r}. Take fewer seas."
-                )
 
 
 class _Part(Kernel):

@@ -494,19 +494,19 @@ def clear_peaks(
     outputs : sequence of str
         Their names.
     """
-    found: dict[str, Peak] = {}
+    found: list[Peak] = []
     for group in sampled_alike(records):
         regular = [i for i in group if _is_regular(records[i].times)]
         for column, name in enumerate(outputs):
             series, time = own_samples([whitened[i][:, column] for i in regular])
-            if not series:
-                continue
-            peak = spectral_peak(series, time * records[regular[0]].sample_time, name)
-            if peak.chance * len(outputs) < CHANCE and (
-                name not in found or peak.chance < found[name].chance
-            ):
-                found[name] = peak
-    return sorted(found.values(), key=lambda peak: peak.chance)
+            if series:
+                step = records[regular[0]].sample_time
+                found.append(spectral_peak(series, time * step, name))
+    clearest: dict[str, Peak] = {}
+    for peak in sorted(found, key=lambda one: one.chance):
+        if peak.chance * len(outputs) < CHANCE:
+            clearest.setdefault(peak.output, peak)
+    return list(clearest.values())
 
 
 def _is_regular(times: np.ndarray) -> bool:

@@ -349,11 +349,11 @@ class _End:
         features, owners, alone = _features(self.point.problem, self.point.passes)
         if len(owners) == 1:
             return None
-        found = [
-            self._one(place, responses, owners, alone)
-            for place, responses in self._responses(features)
-            if places is None or place in places
-        ]
+        found = []
+        for place, responses in self._responses(features):
+            if places is None or place in places:
+                left, score, own = self.point.score(responses, len(owners))
+                found.append(_Asked(place, score, left, np.sqrt(own), owners, alone))
         return [part for one in found for part in one.parts(RARE / len(found))]
 
     def usual(self, standing: Sequence[_Asked]) -> dict[tuple[str, ...], float]:
@@ -397,17 +397,6 @@ class _End:
                 for record, (path, own) in zip(problem.records, pairs, strict=True)
             )
             yield f"{SLOW}{noise.outputs[column]}", found
-
-    def _one(
-        self,
-        place: str,
-        responses: Iterable[np.ndarray],
-        owners: np.ndarray,
-        alone: np.ndarray,
-    ) -> _Asked:
-        """Ask one place; ``responses`` are the whitened innovations by each function."""
-        left, score, own = self.point.score(responses, len(owners))
-        return _Asked(place, score, left, np.sqrt(own), owners, alone)
 
 
 def _drawn(problem: Filtered, part: FilterPass, rng: np.random.Generator) -> FilterPass:

@@ -193,11 +193,6 @@ class Sea:
         return list(zip(turned.tolist(), share, strict=True))
 
     @property
-    def is_complete(self) -> bool:
-        """Whether nothing is left to estimate."""
-        return None not in (self.period, self.bandwidth, self.levels, self.shape)
-
-    @property
     def acts(self) -> bool:
         """Whether any level is above zero."""
         return bool(np.any(self.level > 0))
@@ -224,10 +219,6 @@ class Sea:
         """Return the same sea with the numbers of another where it leaves some out."""
         own = {name: value for name, value in vars(self).items() if value is not None}
         return replace(other, **own)
-
-    def is_met_on(self, records: Sequence[str]) -> bool:
-        """Whether any of some records meets this sea."""
-        return self.records is None or not {*records}.isdisjoint(self.records)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the sea as plain data for JSON."""
@@ -293,7 +284,7 @@ class NoiseModel:
         seas = (self.seas,) if isinstance(self.seas, Sea) else tuple(self.seas)
         object.__setattr__(self, "seas", seas)
         for sea in seas:
-            if not sea.is_complete:
+            if None in (sea.period, sea.bandwidth, sea.levels, sea.shape):
                 raise ModelError(f"{sea} leaves numbers out. A noise model needs all of them.")
 
     @classmethod
@@ -316,7 +307,8 @@ class NoiseModel:
         if not known:
             return self
         if records and {*records} <= known:
-            return replace(self, seas=tuple(sea for sea in self.seas if sea.is_met_on(records)))
+            met = (sea for sea in self.seas if {*records} & {*(sea.records or records)})
+            return replace(self, seas=tuple(met))
         each = (replace(self._usual_sea(), records=(name,)) for name in records)
         return replace(self, seas=tuple(each) or (self._usual_sea(),))
 
