@@ -61,14 +61,13 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtri, chndtr, chndtrinc, ndtr
 
 from oed_sysid.errors import DesignError, listed, located
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.information import commanded_runs, respond
 from oed_sysid.information.shifts import GROUP_WIDTH, Group, Shifts
-from oed_sysid.likelihood.projection import ABSORBED
+from oed_sysid.likelihood.projection import ABSORBED, share_of
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.constants import IMMATERIAL, RANK_TOLERANCE
@@ -100,19 +99,10 @@ def eliminate(matrix: np.ndarray, n_drop: int) -> tuple[np.ndarray, np.ndarray]:
     >>> print(reduced)
     [[2.5]]
     """
-    n = len(matrix)
-    if n_drop == 0:
-        return matrix, np.eye(n)
-    first, last = slice(0, n_drop), slice(n_drop, None)
-    block = matrix[first, first]
-    diagonal = np.diag(block)
-    scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    # A direction that nothing sees is not worth estimating; it must not stop the elimination.
-    regular = block * scale[:, None] * scale + 1e-13 * np.eye(n_drop)
-    solved = scale[:, None] * cho_solve(cho_factor(regular), scale[:, None] * matrix[first, last])
-    # Derivative of the Schur complement: map dM map', the solution being stationary.
-    mapping = np.hstack([-solved.T, np.eye(n - n_drop)])
-    reduced = matrix[last, last] - matrix[last, first] @ solved
+    first, last = np.split(np.arange(len(matrix)), [n_drop])
+    # Derivative of the Schur complement: map dM map', the share being stationary.
+    mapping = np.hstack([-share_of(matrix, last, first), np.eye(len(last))])
+    reduced = mapping @ matrix[:, last]
     return 0.5 * (reduced + reduced.T), mapping
 
 

@@ -40,7 +40,7 @@ from oed_sysid.design.criteria import (
 from oed_sysid.design.vehicles import check_spread
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.information.bound import RunInformation, information_of, prior_factor, triangle
+from oed_sysid.information.bound import RunInformation, information_of, prior_factor
 from oed_sysid.information.noise import noise_of
 from oed_sysid.information.response import Levels, commanded_runs, expected_noise
 from oed_sysid.information.shifts import Shifts
@@ -96,7 +96,7 @@ class Knowledge:
         if not (rows := prior_factor(model, names, known)).any():
             return None
         scales = np.array([model.parameter(name).magnitude for name in names])
-        return Information(names, triangle(rows) * scales, scales)
+        return Information.from_jacobian(names, rows, scales)
 
 
 @dataclass(frozen=True, eq=False)

@@ -181,7 +181,7 @@ class RunInformation:
         names = self._model.shared_names
         rows = np.vstack([*factors, prior_factor(self._model, names, priors)])
         scales = np.array([self._model.parameter(name).magnitude for name in names])
-        return Information(names, triangle(rows) * scales, scales)
+        return Information.from_jacobian(names, rows, scales)
 
 
 def unknowns(model: Model, start: str | Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:

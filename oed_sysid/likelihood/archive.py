@@ -141,7 +141,11 @@ class _Builder:
         flat, shape, kind = item["array"], item.get("shape"), item.get("dtype")
         if not isinstance(flat, list) or kind not in _DTYPES:
             raise _damage(place, f"an array of {kind!r:.40}; expected one of {', '.join(_DTYPES)}")
-        if not isinstance(shape, list) or len(shape) > 8 or not all(map(_is_length, shape)):
+        if (
+            not isinstance(shape, list)
+            or len(shape) > 8
+            or not all(type(length) is int and length >= 0 for length in shape)
+        ):
             raise _damage(place, f"an array of shape {shape!r:.40}")
         if math.prod(shape) != len(flat):
             raise _damage(place, f"{len(flat)} numbers for an array of shape {tuple(shape)}")
@@ -234,10 +238,6 @@ def _fits_tuple(value: Any, inner: tuple[Any, ...]) -> bool:
     return len(value) == len(kinds) and all(map(_fits, value, kinds))
 
 
-def _fits_one_of(value: Any, inner: tuple[Any, ...]) -> bool:
-    return any(_fits(value, one) for one in inner)
-
-
 _FITTING: dict[Any, Callable[[Any, tuple[Any, ...]], bool]] = {
     Any: lambda value, inner: True,
     float: lambda value, inner: isinstance(value, int | float),
@@ -250,8 +250,9 @@ _FITTING: dict[Any, Callable[[Any, tuple[Any, ...]], bool]] = {
         isinstance(value, Mapping)
         and all(_fits(key, inner[0]) and _fits(one, inner[1]) for key, one in value.items())
     ),
-    Union: _fits_one_of,
-    UnionType: _fits_one_of,
+    **dict.fromkeys(
+        (Union, UnionType), lambda value, inner: any(_fits(value, one) for one in inner)
+    ),
 }
 
 
@@ -261,10 +262,6 @@ def _at(place: str) -> str:
 
 def _listed(item: Mapping) -> str:
     return ", ".join(f"{key!r:.30}" for key in list(item)[:5]) or "nothing in it"
-
-
-def _is_length(number: object) -> bool:
-    return type(number) is int and number >= 0
 
 
 def _damage(place: str, found: str) -> DataError:

@@ -268,8 +268,8 @@ class CaptiveTests:
         compiled, values = kernel(towed), towed.value_vector
         parts = []
         for record in asked.records(model):
-            own = np.zeros(compiled.n_own)
-            run = compiled.simulate(record.times, record.inputs, values, own)
+            still = np.zeros(compiled.n_own)
+            run = compiled.simulate(record.times, record.inputs, values, still)
             parts.append(run.outputs[np.isfinite(record.outputs).any(axis=1)])
         found, names = np.vstack(parts), towed.output_names
         return {axis: found[:, names.index(_FORCE.format(axis))] for axis in self.forces}

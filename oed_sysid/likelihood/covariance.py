@@ -141,11 +141,11 @@ class Scores:
     def tests(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows and errors of all independent tests."""
         chosen = [i for i, record in enumerate(self.records) if record.independent]
-        nothing = self.jacobians[0][:0], self.errors[0][:0]
-        return (
-            np.concatenate([nothing[0], *(self.jacobians[i] for i in chosen)]),
-            np.concatenate([nothing[1], *(self.errors[i] for i in chosen)]),
+        rows, errors = (
+            np.concatenate([every[0][:0], *(every[i] for i in chosen)])
+            for every in (self.jacobians, self.errors)
         )
+        return rows, errors
 
     def _leverage(self, white: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Degrees of freedom and sums of squares of tests by output, and their ``H = J C J'``."""

@@ -94,18 +94,15 @@ class Multistart:
         from scipy.stats.qmc import LatinHypercube
 
         free = model.free_parameters
-        own = dict(model.values)
         if not free:
             raise ModelError(f"Model {model.name!r} has no free parameter to start elsewhere.")
         shares = LatinHypercube(len(free), rng=np.random.default_rng(self.seed))
-        rows = shares.random(self.n_starts - 1)
         lower, upper = np.array([self._region(p) for p in free]).T
-        spread = lower + rows * (upper - lower)
+        spread = lower + shares.random(self.n_starts - 1) * (upper - lower)
         logged = np.array([p.log for p in free])
         spread[:, logged] = np.exp(spread[:, logged])
-        names = model.free_names
-        drawn = [dict(zip(names, map(float, row), strict=True)) for row in spread]
-        return [{name: own[name] for name in names}, *drawn]
+        rows = ([p.value for p in free], *spread)
+        return [dict(zip(model.free_names, map(float, row), strict=True)) for row in rows]
 
     def _region(self, parameter: Parameter) -> tuple[float, float]:
         """Least and greatest start value; their logarithms where that is what is estimated."""
