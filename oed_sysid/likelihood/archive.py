@@ -141,11 +141,7 @@ class _Builder:
         flat, shape, kind = item["array"], item.get("shape"), item.get("dtype")
         if not isinstance(flat, list) or kind not in _DTYPES:
             raise _damage(place, f"an array of {kind!r:.40}; expected one of {', '.join(_DTYPES)}")
-        if (
-            not isinstance(shape, list)
-            or len(shape) > 8
-            or not all(type(length) is int and length >= 0 for length in shape)
-        ):
+        if not isinstance(shape, list) or len(shape) > 8 or not all(map(_is_length, shape)):
             raise _damage(place, f"an array of shape {shape!r:.40}")
         if math.prod(shape) != len(flat):
             raise _damage(place, f"{len(flat)} numbers for an array of shape {tuple(shape)}")
@@ -262,6 +258,10 @@ def _at(place: str) -> str:
 
 def _listed(item: Mapping) -> str:
     return ", ".join(f"{key!r:.30}" for key in list(item)[:5]) or "nothing in it"
+
+
+def _is_length(number: object) -> bool:
+    return type(number) is int and number >= 0
 
 
 def _damage(place: str, found: str) -> DataError:
