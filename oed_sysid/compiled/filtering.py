@@ -147,6 +147,8 @@ class Disturbed:
     phase: Any = np.nan
 
     def __post_init__(self) -> None:
+        coloured = np.ascontiguousarray(self.coloured, dtype=np.intc)
+        object.__setattr__(self, "coloured", coloured)
         kinds = {"damping": float, "turn": np.intc, "sea": np.intc, "phase": float}
         for name, kind in kinds.items():
             given = np.asarray(getattr(self, name), dtype=kind)
@@ -932,7 +934,7 @@ class FilterKernel(Kernel):
         moves : bool
             Whether to return transitions and covariances, for a smoother.
         """
-        n, noise = len(along.times), along.noise
+        n, noise, n_outputs, n_levels = len(along.times), along.noise, self.n_outputs, len(levels)
         passing = along.passing if own_columns or names else ()
         z0, dz0, kept = self._begun(along, passing)
         chosen = np.array([self._free[name] for name in names], dtype=int)
@@ -941,15 +943,12 @@ class FilterKernel(Kernel):
             raise ModelError(
                 f"More than {MOST_PROCESSES} processes act on {crowded[0]!r}. Take fewer seas."
             )
-        n_passing = len(passing)
-        n_active = len(kept) - n_passing
+        n_active = len(kept) - len(passing)
         own_states = range(self.n_own if own_columns else 0)
         first = dz0[np.ix_(kept, [*own_states, *(self.n_own + chosen)])]
-        width = first.shape[1] + len(levels)
-        n_random = len(noise.disturbances)
-        size = self.n_full + n_random + len(noise.coloured)
-        inner = n_active + n_random + len(noise.coloured) + noise.n_second
-        n_levels, n_outputs = len(levels), self.n_outputs
+        width, n_random = first.shape[1] + n_levels, len(noise.disturbances)
+        n_extra = len(noise.owner)
+        inner = n_active + n_extra
         level, total = np.zeros(n_levels * (n_levels + 1)), np.full(2, np.inf)
         # What no pass fills stays NaN.
         found = FilterPass(
@@ -961,41 +960,38 @@ class FilterKernel(Kernel):
             innovations=np.full((n, n_outputs), np.nan),
             variances=np.full((n, n_outputs), np.nan),
             rows=np.zeros((n * rows, n_outputs, width + n_levels)),
-            path=np.full((n, size), np.nan),
+            path=np.full((n, self.n_full + n_random + len(noise.coloured)), np.nan),
             gains=np.zeros((n * gains, n_outputs, 2, inner)),
             moves=np.zeros((n * moves, inner + n_random, inner)),
             failed_at=-1,
         )
 
         def done(failed: int) -> FilterPass:
-            sums = float(total[0]), float(total[1])
-            return replace(found, log_variance=sums[0], square=sums[1], failed_at=failed)
+            log_variance, square = map(float, total)
+            return replace(found, log_variance=log_variance, square=square, failed_at=failed)
 
         if self.library is None:
             slow = InterpretedFilter(self.model, along, z0, kept)
             return done(slow.filter(first, chosen, levels, n_active, found, (level, total)))
         columns = np.full(max(self.n_free, 1), -1, dtype=np.intc)
-        parameter, disturbance = n_active, n_active + len(chosen)
-        columns[chosen] = parameter + np.arange(len(chosen))
-        columns[random] = disturbance + np.arange(len(random))
+        # Behind the active components: chosen parameters, then those that are random.
+        columns[[*chosen, *random]] = n_active + np.arange(len(chosen) + len(random))
         positions = np.array([self._position[d] for d in noise.disturbances], dtype=np.intc)
         acting = np.array([noise.acting.index(d) for d in noise.disturbances], dtype=np.intc)
-        coloured = np.ascontiguousarray(noise.coloured, dtype=np.intc)
         steps = along.steps
         over = noise.random(steps.lengths, steps.following, levels)
         x0, white, stationary, memory, d_white, d_stationary, d_memory = doubles(
             first, noise.white, over.stationary, over.memory,
             over.white_by_level, over.by_level, over.memory_by_level,
         )  # fmt: skip
-        n_extra = len(noise.owner)
-        sizes = (n_random, n_extra, first.shape[1], len(levels))
-        work = np.empty(self.library.kernel_filter_work(n_active, n_passing, *sizes))
+        sizes = (n_active, len(passing), n_random, n_extra, first.shape[1], n_levels)
+        work = np.empty(self.library.kernel_filter_work(*sizes))
         failed = call(
             self.library.kernel_filter, n, along.times, along.inputs, along.values,
-            float(self.model.step), steps.longest, z0, n_active, n_passing, kept, first.shape[1],
-            len(chosen), parameter, disturbance, columns, x0, n_random, len(random),
-            positions, acting, white, len(coloured), coloured, n_extra, stationary,
-            steps.which, memory, len(levels), d_white, d_stationary, len(over.moving),
+            float(self.model.step), steps.longest, z0, n_active, len(passing), kept, first.shape[1],
+            len(chosen), n_active, n_active + len(chosen), columns, x0, n_random, len(random),
+            positions, acting, white, len(noise.coloured), noise.coloured, n_extra, stationary,
+            steps.which, memory, n_levels, d_white, d_stationary, len(over.moving),
             over.moving, d_memory, along.measured, along.beyond,
             found.gram, level, found.innovations, found.variances, found.rows if rows else None,
             found.path, found.gains if gains else None, found.moves if moves else None, total, work,
@@ -1028,16 +1024,14 @@ class FilterKernel(Kernel):
             failed = InterpretedFilter(self.model, along, z0, kept).replay(gains, innovations)
             return innovations, failed < 0
         positions = np.array([self._position[d] for d in noise.disturbances], dtype=np.intc)
-        coloured = np.ascontiguousarray(noise.coloured, dtype=np.intc)
         steps = along.steps
-        memory = noise.random(steps.lengths, steps.following).memory
-        memory, gains = doubles(memory, gains)
+        memory, gains = doubles(noise.random(steps.lengths, steps.following).memory, gains)
         mean, delta = np.empty((2, gains.shape[-1]))
         failed = call(
             self.library.kernel_replay, n, along.times, along.inputs, along.values,
             float(self.model.step), steps.longest, z0, len(kept), kept, len(positions), positions,
-            len(coloured), coloured, len(noise.owner), steps.which, memory, along.measured,
-            gains, innovations, mean, delta,
+            len(noise.coloured), noise.coloured, len(noise.owner), steps.which, memory,
+            along.measured, gains, innovations, mean, delta,
         )  # fmt: skip
         return innovations, failed < 0
 

@@ -27,16 +27,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.design.criteria import (
-    ByShifts,
-    Criterion,
-    Detect,
-    Detection,
-    Discriminate,
-    Measure,
-    Setting,
-    log_determinant,
-)
+from oed_sysid.design import criteria
 from oed_sysid.design.vehicles import check_spread
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment
@@ -126,7 +117,7 @@ class ExpectedInformation:
     """
 
     model: Model
-    criterion: Criterion
+    criterion: criteria.Criterion
     sigma: np.ndarray
     sea: NoiseModel | None
     prior: Information | None
@@ -137,7 +128,7 @@ class ExpectedInformation:
 
     @classmethod
     def of(
-        cls, given: Model | Fit, criterion: Criterion, knowledge: Knowledge
+        cls, given: Model | Fit, criterion: criteria.Criterion, knowledge: Knowledge
     ) -> ExpectedInformation:
         """Return what is expected of runs of a vehicle, or after a fit."""
         model = given.model if isinstance(given, Fit) else given
@@ -188,10 +179,10 @@ class ExpectedInformation:
             return self
         return replace(self, model=vehicle, shifts=_shifts(self.criterion, vehicle))
 
-    def measure(self, scales: np.ndarray | None = None) -> Measure:
+    def measure(self, scales: np.ndarray | None = None) -> criteria.Measure:
         """The criterion as a function of matrices in units of the parameters."""
         units = self.scales() if scales is None else scales
-        setting = Setting(self.model, self.names, units, self.sigma, self.shifts)
+        setting = criteria.Setting(self.model, self.names, units, self.sigma, self.shifts)
         return self.criterion.bind(setting)
 
     def relative(self, matrix: np.ndarray, scales: np.ndarray | None = None) -> np.ndarray:
@@ -257,27 +248,28 @@ class ExpectedInformation:
             Units of ``told``; by default the parameters' own.
         """
         white = information_of(self.model, run, noise=self.sigma, priors=None).matrix
-        more = log_determinant(self.relative(white, scales)) - log_determinant(told)
+        most = criteria.log_determinant(self.relative(white, scales))
+        more = most - criteria.log_determinant(told)
         return float(np.exp(0.5 * max(more, 0.0) / len(told)))
 
     def misfits(self, total: np.ndarray) -> dict[tuple[str, str], float]:
         """For discrimination: expected ``2 dlogL`` of every rival over every other."""
-        if not isinstance(self.criterion, Discriminate) or self.shifts is None:
+        if not isinstance(self.criterion, criteria.Discriminate) or self.shifts is None:
             return {}
         return self.criterion.misfits(self.model, self.shifts, total, len(self.names))
 
-    def detections(self, total: np.ndarray) -> tuple[Detection, ...]:
+    def detections(self, total: np.ndarray) -> tuple[criteria.Detection, ...]:
         """For detection: how surely every candidate shows, before and after."""
-        if not isinstance(self.criterion, Detect) or self.shifts is None:
+        if not isinstance(self.criterion, criteria.Detect) or self.shifts is None:
             return ()
         return self.criterion.detections(self.shifts, self.total(None), total, len(self.names))
 
 
-def _shifts(criterion: Criterion, model: Model) -> Shifts | None:
+def _shifts(criterion: criteria.Criterion, model: Model) -> Shifts | None:
     """Absent effects that a criterion asks for, if it does."""
     if hasattr(criterion, "bind_shifts"):
         raise DesignError("A criterion has no bind_shifts. Write bind(Setting(..., shifts=...)).")
-    return criterion.shifts(model) if isinstance(criterion, ByShifts) else None
+    return criterion.shifts(model) if isinstance(criterion, criteria.ByShifts) else None
 
 
 def _information(fit: Fit) -> Information:

@@ -64,6 +64,7 @@ from scipy.special import chdtri, ndtr, stdtr
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import MINIMUM_SAMPLES
+from oed_sysid.likelihood import noise_levels
 from oed_sysid.likelihood.between_records import CHANCE, FEWEST, WORTH_TELLING
 from oed_sysid.likelihood.covariance import Peak, clear_peaks
 from oed_sysid.likelihood.departures import (
@@ -80,17 +81,6 @@ from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
 from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.integration import step_change
 from oed_sysid.likelihood.laws import departures_beside, laws_of, loss_without, posed_again
-from oed_sysid.likelihood.noise_levels import (
-    DIFFERENCE_ERROR,
-    RARE,
-    fast_level,
-    given_levels,
-    robust_deviation,
-    signal_spread,
-    spike_masks,
-    spike_sizes,
-    white_levels,
-)
 from oed_sysid.physics.unknown import random_effects
 from oed_sysid.runtime.constants import BEYOND, IMMATERIAL, MATERIAL, NEGLIGIBLE
 from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
@@ -271,7 +261,7 @@ def _has_numbers(fit: Estimate) -> bool:
 
 def _levels(fit: Estimate) -> Iterator[Found]:
     """Declared noise levels that are not those found."""
-    declared = given_levels(fit.model.outputs)
+    declared = noise_levels.given_levels(fit.model.outputs)
     if fit.innovations is None:  # those that it took where it was given others
         declared = np.where(fit.sigma_estimated, declared, fit.sigma)
     share = max(1.0 - fit.n_unknowns / max(fit.n_observations, 1), 0.1)
@@ -321,19 +311,19 @@ def _level(fit: Estimate, column: int, share: float) -> tuple[float, float, bool
     if n < 20:
         return None
     # A spike is not a level: what lies beyond four deviations is left out.
-    size = max(robust_deviation(present), 1e-12)
+    size = max(noise_levels.robust_deviation(present), 1e-12)
     kept = present[np.abs(present) < 4.0 * size]
     if not len(kept):
         return None
     whole = float(np.sqrt(np.mean(kept**2) / share))
     ordered = [part[:, column] for part in fit.series]
     tests = not any(np.isfinite(part).any() for part in ordered)
-    fast = whole if tests else fast_level(ordered)
+    fast = whole if tests else noise_levels.fast_level(ordered)
     if not fast > 0.0:
         return None
-    if whole > 1.0 and fast < whole * (1.0 - 2.5 * DIFFERENCE_ERROR / np.sqrt(n)):
+    if whole > 1.0 and fast < whole * (1.0 - 2.5 * noise_levels.DIFFERENCE_ERROR / np.sqrt(n)):
         # Slow residuals raise the variance, not the level of the white noise.
-        return max(fast, 1.0), float(DIFFERENCE_ERROR / np.sqrt(n)), tests
+        return max(fast, 1.0), float(noise_levels.DIFFERENCE_ERROR / np.sqrt(n)), tests
     return whole, float(np.sqrt(0.5 / n)), tests
 
 
@@ -428,7 +418,7 @@ def _absorbed(fit: Estimate) -> Iterator[Found]:
     """Estimated levels that hold what the model does not explain."""
     if fit.innovations is not None or not fit.sigma_estimated.any():
         return
-    floor, _ = white_levels(fit.dataset)
+    floor, _ = noise_levels.white_levels(fit.dataset)
     for column, (name, (effective, n)) in enumerate(fit.effective_samples().items()):
         if not fit.sigma_estimated[column] or n < 20 or not floor[column] > 0:
             continue
@@ -451,8 +441,8 @@ def _excluded(fit: Estimate) -> Iterator[Found]:
 
 def _spikes(fit: Estimate) -> Iterator[Found]:
     """Isolated outliers."""
-    masks = spike_masks(fit.series, declared=~fit.sigma_estimated)
-    sizes = spike_sizes(fit.series)
+    masks = noise_levels.spike_masks(fit.series, declared=~fit.sigma_estimated)
+    sizes = noise_levels.spike_sizes(fit.series)
     for column, name in enumerate(fit.model.output_names):
         count = int(sum(mask[:, column].sum() for mask in masks))
         if not count:
@@ -554,7 +544,7 @@ def _inputs(fit: Estimate) -> Iterator[Found]:
         if stage != "actuator" or place in known or name not in names or not level > 0.0:
             continue
         # At zero, a bound, half of all statistics are none.
-        if not loss_without(fit, place) > chdtri(1, 2.0 * RARE) or laws_of(fit):
+        if not loss_without(fit, place) > chdtri(1, 2.0 * noise_levels.RARE) or laws_of(fit):
             continue
         column = names.index(name)
         size = change_of_outputs(fit, partial(_with_input_noise, fit, column, level, rng))
@@ -613,7 +603,7 @@ def _far_values(fit: Estimate) -> Iterator[Found]:
 
 def _far_outputs(fit: Estimate) -> Iterator[Found]:
     """Outputs of the model, or innovations, beyond all that was measured."""
-    spread = signal_spread(fit.dataset)
+    spread = noise_levels.signal_spread(fit.dataset)
     highest = np.nanmax(np.abs(np.vstack([r.outputs for r in fit.dataset])), axis=0, initial=0.0)
     # An unstable vehicle leaves every scale on its own; what counts is the filter's error.
     parts = fit.predictions if fit.innovations is None else fit.innovations
@@ -694,7 +684,7 @@ def _degenerate(fit: Estimate) -> Iterator[Found]:
     suspects = (motion.count >= MINIMUM_SAMPLES) & (motion.left >= BARELY * motion.own)
     if not suspects.any():
         return
-    noise, _ = white_levels(fit.dataset)
+    noise, _ = noise_levels.white_levels(fit.dataset)
     noise = np.where(fit.sigma_estimated, noise, np.minimum(noise, fit.sigma))
     for column in np.flatnonzero(suspects & motion.beyond(noise)):
         still = motion.moved[column] < 1e-4 * motion.own[column]
@@ -735,7 +725,7 @@ def _unexplained(fit: Estimate) -> Iterator[Found]:
     poor = [name for name, share in shares.items() if share >= BARELY]
     if not poor or not fit.dataset.channels.inputs:
         return
-    moves = _Motion.of(fit).beyond(white_levels(fit.dataset)[0])
+    moves = _Motion.of(fit).beyond(noise_levels.white_levels(fit.dataset)[0])
     moving = dict(zip(fit.model.output_names, moves | (len(poor) == len(shares)), strict=True))
     rest = "the noise is the rest"
     what = "disturbance forces hold the rest" if fit.innovations is not None else rest

@@ -11,6 +11,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError, SimulationError, respelled
+from oed_sysid.likelihood import estimator, noise_levels
 from oed_sysid.likelihood.departures import (
     CLEARLY,
     clear_departure,
@@ -20,31 +21,11 @@ from oed_sysid.likelihood.departures import (
 from oed_sysid.likelihood.disturbances import Place, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import ProcessNoiseTest
-from oed_sysid.likelihood.estimator import (
-    Solver,
-    check_choice,
-    check_disturbances,
-    check_levels,
-    check_positive,
-)
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FEW, FilteredSolution, Progress, Solution, solve
 from oed_sysid.likelihood.integration import resolved
 from oed_sysid.likelihood.judgement import concerns_of, with_verdict
 from oed_sysid.likelihood.laws import posed_again
-from oed_sysid.likelihood.noise_levels import (
-    credible_levels,
-    held_masks,
-    input_steps,
-    repeating,
-    residual_levels,
-    settled,
-    signal_spread,
-    spike_masks,
-    stand_out,
-    start_levels,
-    without_spikes,
-)
 from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, forces_in, seas_in
 from oed_sysid.likelihood.nonlinear_program import constrained, solve_constrained, solve_within
 from oed_sysid.likelihood.random_forces import (
@@ -137,24 +118,24 @@ class MultipleShooting:
     start: str = "auto"
     coloured: str = "auto"
     progress: Callable[[Progress], None] | None = None
-    solver: Solver = Solver()  # noqa: RUF009 (frozen)
+    solver: estimator.Solver = estimator.Solver()  # noqa: RUF009 (frozen)
     disturbances: Disturbances = "auto"
     horizon: float | None = None
 
     def __post_init__(self) -> None:
-        check_choice("start", self.start, ("auto", "near", "wide"))
-        check_choice("coloured", self.coloured, ("auto", "never", "always"))
-        check_levels(self.noise)
-        check_disturbances(self.disturbances)
+        estimator.check_choice("start", self.start, ("auto", "near", "wide"))
+        estimator.check_choice("coloured", self.coloured, ("auto", "never", "always"))
+        estimator.check_levels(self.noise)
+        estimator.check_disturbances(self.disturbances)
         if self.interval is not None:
             advice = "Give a positive length in s, infinity for single shooting, or None."
-            check_positive("Shooting interval", self.interval, advice, infinite=True)
-        if not isinstance(self.solver, Solver):
+            estimator.check_positive("Shooting interval", self.interval, advice, infinite=True)
+        if not isinstance(self.solver, estimator.Solver):
             raise ModelError(f"solver is {self.solver!r}. Write solver=Solver({self.solver!r}).")
         loss_by_name(self.loss)
         if self.horizon is not None:
             advice = "Give seconds above zero, or None, which predicts whole records."
-            check_positive("horizon", self.horizon, advice)
+            estimator.check_positive("horizon", self.horizon, advice)
         forces, ahead = self.disturbances not in ("auto", "none"), self.horizon is not None
         program = self.solver.method == "ipopt"
         for clash, words in (
@@ -320,7 +301,7 @@ class MultipleShooting:
         began = time.perf_counter()
         model, dataset, warm = given.model, given.dataset, given.warm
         earlier = None if warm is None else warm.sigma
-        sigma, estimated = start_levels(model, dataset, self.noise, earlier)
+        sigma, estimated = noise_levels.start_levels(model, dataset, self.noise, earlier)
         if warm is not None:
             values = warm.model.values | warm.values
             model = model.within_bounds({n: values[n] for n in model.free_names if n in values})
@@ -406,7 +387,7 @@ class MultipleShooting:
 
         again = without(fit)
         outputs = [record.outputs for record in fit.dataset]
-        if not (fit.status.ok or _is_white(again)) and stand_out(outputs):
+        if not (fit.status.ok or _is_white(again)) and noise_levels.stand_out(outputs):
             # Bent so far that none shows, or by process noise, which no samples take away: first
             # steps that outliers do not bend tell which.
             robust = without(again_by(looking, fit.dataset, None))
@@ -426,7 +407,7 @@ class MultipleShooting:
                 return first
             if sides.stay(at_first=fit is first):
                 break
-            data = without_spikes(given.dataset, sides.off)
+            data = noise_levels.without_spikes(given.dataset, sides.off)
             again = replace(self, loss="square")._fit(replace(given, dataset=data))
             if fit.status.ok and not again.status.ok:
                 break
@@ -491,7 +472,7 @@ class MultipleShooting:
         self, fit: Fit, task: _Task, places: Sequence[Place], declared: Sequence[RandomProcess]
     ) -> Setting:
         """What stays the same while noise is looked for."""
-        floor, _ = credible_levels(fit.dataset)
+        floor, _ = noise_levels.credible_levels(fit.dataset)
         model, estimated = task.shooting.model, task.how.estimated
         chosen = self.disturbances not in ("auto", "all")
         inputs = [place for place in every_place(model) if place.stage == "actuator"]
@@ -607,9 +588,9 @@ def _with_noise(end: Solution, estimated: np.ndarray, minimise: Minimiser) -> So
     shooting = end.shooting
     if end.reason == "diverged" or not estimated.any():
         return end
-    least = ROUNDING * signal_spread(shooting.dataset)
+    least = ROUNDING * noise_levels.signal_spread(shooting.dataset)
     for _ in range(12):  # three or four suffice as a rule
-        shown = residual_levels(end.residuals, end.problem.n_unknowns)
+        shown = noise_levels.residual_levels(end.residuals, end.problem.n_unknowns)
         sigma = np.where(estimated, np.maximum(shown, least), shooting.sigma)
         change = float(np.max(np.abs(np.log(sigma / shooting.sigma))))
         shooting = shooting.having(sigma=sigma)
@@ -723,16 +704,20 @@ def _left(fit: Fit, before: np.ndarray) -> Dataset | None:
         return None
     taken = before - _measured(fit.dataset)
     known = ~fit.sigma_estimated
-    single = spike_masks(
+    single = noise_levels.spike_masks(
         fit.series,
         declared=known,
         taken=taken,
-        stepped=lambda: [input_steps(record) for record in fit.dataset],
+        stepped=lambda: [noise_levels.input_steps(record) for record in fit.dataset],
     )
     outputs = [record.outputs for record in fit.dataset]
-    held = held_masks(outputs, fit.series, fit.sigma)
+    held = noise_levels.held_masks(outputs, fit.series, fit.sigma)
     masks = [one | other for one, other in zip(single, held, strict=True)]
-    return without_spikes(fit.dataset, masks) if any(mask.any() for mask in masks) else None
+    return (
+        noise_levels.without_spikes(fit.dataset, masks)
+        if any(mask.any() for mask in masks)
+        else None
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -746,7 +731,7 @@ class _Sides:
     def stay(self, *, at_first: bool) -> bool:
         """Whether few change sides, of a first fit none to those that stand out."""
         anew = any(np.any(b & ~a) for a, b in zip(self.left, self.off, strict=True))
-        return settled(self.left, self.off) and not (at_first and anew)
+        return noise_levels.settled(self.left, self.off) and not (at_first and anew)
 
     def explained(self, fit: Fit, first: Fit) -> bool:
         """Whether spikes explain what stands out, or the fit is none to go by.
@@ -755,7 +740,7 @@ class _Sides:
         because others are gone: there it is the motion that is not understood.
         """
         bent = bool(first.excluded) or not first.status.ok
-        hidden = bent or fit is first or settled(self.left, self.off)
+        hidden = bent or fit is first or noise_levels.settled(self.left, self.off)
         return not fit.status.ok or (self.understood and hidden)
 
 
@@ -763,7 +748,7 @@ def _outlying(fit: Fit, given: _Given) -> _Sides:
     """What stands out of the motion of a fit among all samples that were given."""
     pairs = zip(given.dataset, fit.dataset, strict=True)
     left = [np.isnan(kept.outputs) & ~np.isnan(one.outputs) for one, kept in pairs]
-    stay = repeating(left, [record.outputs for record in given.dataset])
+    stay = noise_levels.repeating(left, [record.outputs for record in given.dataset])
     try:
         whole = posed_again(replace(fit, dataset=given.dataset), given.known_starts)
         return _Sides(left, *outlying(*whole, stay))

@@ -22,14 +22,8 @@ import numpy as np
 from oed_sysid.compiled.kernels import Kernel, Run, kernel, summable
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError
+from oed_sysid.likelihood import start_guess
 from oed_sysid.likelihood.estimate import Estimate
-from oed_sysid.likelihood.start_guess import (
-    check_channels,
-    cut,
-    kinematic_states,
-    measured_columns,
-    measured_states,
-)
 from oed_sysid.likelihood.unknowns import KnownStarts, Posed, node_maps
 from oed_sysid.physics.model import Model
 
@@ -169,12 +163,12 @@ class Shooting(Posed):
         initial_states: KnownStarts | None = None,
         known_starts: KnownStarts | None = None,
     ) -> None:
-        check_channels(model, dataset)
+        start_guess.check_channels(model, dataset)
         super().__init__(model, dataset, model, known_starts)
         self.kernel: Kernel = runner or kernel(model)
         self.sigma = np.asarray(sigma, dtype=float)
         self.loss = loss
-        self.starts = tuple(cut(record, interval) for record in self.records)
+        self.starts = tuple(start_guess.cut(record, interval) for record in self.records)
         self._told = [one for one in (initial_states, known_starts) if one is not None]
         # States of effects and memories of actuators start in equilibrium and have no unknowns.
         extra = self.kernel.n_full - self.kernel.n_own
@@ -184,11 +178,11 @@ class Shooting(Posed):
     def _guess_states(self) -> None:
         """Series of states from measurements, and how far to trust them."""
         series, stds = [], np.full((len(self.records), self.kernel.n_full), np.nan)
-        columns = measured_columns(self.model)
+        columns = start_guess.measured_columns(self.model)
         for index, record in enumerate(self.records):
-            measured = measured_states(self.model, record)
+            measured = start_guess.measured_states(self.model, record)
             stds[index, list(measured)] = [self.sigma[columns[state]] for state in measured]
-            for state, guess in kinematic_states(self.model, record, measured).items():
+            for state, guess in start_guess.kinematic_states(self.model, record, measured).items():
                 stds[index, state], measured[state] = guess.std, guess.series
             series.append(measured)
         self._series = tuple(series)
@@ -264,7 +258,7 @@ class Shooting(Posed):
         n = len(data.times)
         series = np.empty((n, len(z0)))
         if len(measured) < len(z0):
-            starts = cut(data, None)
+            starts = start_guess.cut(data, None)
             z = z0
             for first, stop in zip(starts, [*starts[1:], n - 1], strict=True):
                 part = slice(first, stop + 1)
