@@ -252,15 +252,13 @@ def _understood(sea: str) -> tuple[str | None, dict[str, float]]:
             f"The sea {sea!r} is not understood. Say {', '.join(SEAS)}, levels by equation such as "
             "Z=0.3,M=0.06,time=2, a swell such as swell=0.3m,8s,030deg, or the file of a fit."
         )
-    return word, dict(_level(part, sea) for part in parts)
-
-
-def _level(part: str, sea: str) -> tuple[str, float]:
-    """A name and its number."""
-    name, equals, number = map(str.strip, part.partition("="))
-    if not (equals and name and _NUMBER.fullmatch(number)):
-        raise DesignError(f"{part!r} in the sea {sea!r} is not understood. Write NAME=NUMBER.")
-    return name, float(number)
+    given = {}
+    for part in parts:
+        name, _, number = map(str.strip, part.partition("="))
+        if not (name and _NUMBER.fullmatch(number)):
+            raise DesignError(f"{part!r} in the sea {sea!r} is not understood. Write NAME=NUMBER.")
+        given[name] = float(number)
+    return word, given
 
 
 def natural_forces(

@@ -314,7 +314,7 @@ class NoiseModel:
 
     def _usual_sea(self) -> Sea:
         """What the seas of single records are in the mean."""
-        periods, damping = _shapes_of(self.seas)
+        periods, damping = shapes_of(self.seas)
         levels = np.sqrt(np.mean([sea.level**2 for sea in self.seas], axis=0))
         return replace(
             self.seas[0].with_levels(levels),
@@ -625,7 +625,7 @@ class Levels:
         unknown[np.cumsum([0, *counts])[:-1][np.array(counts, dtype=int) > 0]] = False
         add(SEA_PHASE, np.flatnonzero(unknown & parts), np.ones(len(parts)), -np.inf)
         # A wave takes two samples, and a record a few waves.
-        periods, damping = _shapes_of(noise.seas)
+        periods, damping = shapes_of(noise.seas)
         free = [sea.period is None for sea in known]
         add(SEA_PERIOD, np.flatnonzero(free), periods, np.log(4.0 * times[0]), between[1])
         free = [sea.bandwidth is None for sea in known]
@@ -639,7 +639,7 @@ class Levels:
 
     def _sizes(self, noise: NoiseModel) -> dict[int, np.ndarray]:
         """Numbers of a noise model by kind, counted as :attr:`entries` count them."""
-        periods, damping = _shapes_of(noise.seas)
+        periods, damping = shapes_of(noise.seas)
         _, level, phase = _processes(noise.seas)
         return {
             FORCE_VARIANCE: noise.force.copy(),
@@ -852,7 +852,7 @@ def _processes(seas: Sequence[Sea]) -> tuple[tuple[str, ...], np.ndarray, np.nda
     return tuple(place for place, _, _ in every), numbers[:, 0].copy(), numbers[:, 1].copy()
 
 
-def _shapes_of(seas: Sequence[Sea]) -> tuple[np.ndarray, np.ndarray]:
+def shapes_of(seas: Sequence[Sea]) -> tuple[np.ndarray, np.ndarray]:
     """Periods and damping ratios of some seas."""
     periods = np.array([sea.period or 1.0 for sea in seas], dtype=float)
     return periods, np.array([0.5 * (sea.bandwidth or 1.0) for sea in seas], dtype=float)

@@ -21,7 +21,7 @@ from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import Piecewise
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.disturbances import chosen_places, with_disturbance_inputs
-from oed_sysid.likelihood.noise_model import NoiseModel, Sea
+from oed_sysid.likelihood.noise_model import NoiseModel, Sea, shapes_of
 from oed_sysid.physics.model import Model
 
 
@@ -85,17 +85,15 @@ def forces_of_sea(sea: Sea, times: np.ndarray, rng: np.random.Generator) -> np.n
     >>> float(w.std().round(2)), float(np.corrcoef(w[:-20], w[20:])[0, 1].round(2))
     (0.3, -0.64)
     """
-    assert sea.period is not None
-    assert sea.bandwidth is not None
-    assert sea.shape is not None
-    turn = SHAPES[sea.shape]
+    (period,), (damping,) = shapes_of([sea])
+    turn = SHAPES[sea.shape or "jonswap"]
     # Transitions by length of step: regular sampling has one.
     lengths, which = np.unique(np.diff(times).round(12), return_inverse=True)
-    moves = narrow_band(lengths, sea.period, 0.5 * sea.bandwidth, turn)
+    moves = narrow_band(lengths, period, damping, turn)
     unit = np.eye(moves.shape[1])
     # In units of the stationary covariance, which is one: Q = I - Phi Phi'.
     roots = [np.linalg.cholesky(unit - phi @ phi.T) for phi in moves]
-    acting = rates(turn, 0.5 * sea.bandwidth)[1].T
+    acting = rates(turn, damping)[1].T
 
     def wave() -> np.ndarray:
         draws = rng.standard_normal((len(times), len(unit)))

@@ -425,12 +425,6 @@ class Shooting(Posed):
         tests = sum(record.independent for record in self.records)
         return self.layout.n_unknowns - tests * self.layout.n_own
 
-    @property
-    def interval_samples(self) -> int:
-        """Longest interval, in samples."""
-        pairs = zip(self.starts, self.records, strict=True)
-        return max(int(np.diff([*own, len(record.times)]).max()) for own, record in pairs)
-
     # -- where it begins -------------------------------------------------------------
 
     def check_enough_samples(self) -> None:

@@ -391,8 +391,9 @@ def wide_start(shooting: Shooting, point: Point) -> Point:
     """Climb the ladder of free windows from a far start."""
     records = [r for r in shooting.records if not r.independent] or shooting.records
     shortest = min(len(record.times) for record in records)
-    rungs = list(LADDER)
-    while 3 * rungs[-1] <= shooting.interval_samples < shortest:
+    rungs, pairs = list(LADDER), zip(shooting.starts, shooting.records, strict=True)
+    longest = max(int(np.diff([*own, len(record.times)]).max()) for own, record in pairs)
+    while 3 * rungs[-1] <= longest < shortest:
         rungs.append(3 * rungs[-1])
     plain = shooting.having(loss=None)
     unknowns = point.unknowns
