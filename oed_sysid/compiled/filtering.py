@@ -67,7 +67,7 @@ they differ by 8 %, as the integral and the rate of a force do, the response of 
 its own period is off by as much, and so is its stiffness.
 
 Without a compiler the same passes run on CasADi's interpreter (:class:`InterpretedFilter`): there
-every tangent is a matrix of its own, and nothing is sparse.
+derivatives by levels are complex steps, and nothing is sparse.
 """
 
 from __future__ import annotations
@@ -677,11 +677,9 @@ class InterpretedFilter:
         self.longest_step = along.steps.longest
         self.record, self.measured, noise = along.record, along.measured, along.noise
         self.z, self.values, self.kept = z0.copy(), along.values.copy(), kept
-        names = model.free_names
         self.position = [model.parameter_names.index(name) for name in noise.disturbances]
-        n_full = len(z0)
-        random = [n_full + names.index(name) for name in noise.disturbances]
-        self.random = np.array(random, dtype=int)
+        free = [model.free_names.index(name) for name in noise.disturbances]
+        self.random = len(z0) + np.array(free, dtype=int)
         self.na, self.m = len(kept), len(kept) + len(self.random)
         self.coloured = slice(self.m, self.m + len(noise.coloured))
         self.size = self.coloured.stop + noise.n_second
@@ -718,7 +716,7 @@ class InterpretedFilter:
         levels: Sequence[tuple[int, int]],
         n_active: int,
         found: FilterPass,
-        sums: tuple[np.ndarray, np.ndarray],
+        total: np.ndarray,
     ) -> int:
         """Fill the results as the compiled loop does; -1, or the failing sample.
 
@@ -740,15 +738,13 @@ class InterpretedFilter:
         self.p = np.zeros((1 + nl, self.size, self.size), dtype=complex)
         self.p[:, self.extra, self.extra] = self._moved(begun.stationary, begun.by_level)
         self.white = self._moved(self.noise.white, begun.white_by_level)
-        self.gram = np.zeros((nx + nl + 1,) * 2)
-        self.slope, self.information, self.total = np.zeros(nl), np.zeros((nl, nl)), np.zeros(2)
+        self.gram, self.total = np.zeros((nx + nl + 1,) * 2), np.zeros(2)
         for k, measured in enumerate(self.measured):
             if not abs(self.z.sum()) < DIVERGED or not self._measure(k, measured):
                 return k
             for step, steps, lengths in self._parts(k):
                 self._predict(k, (step, steps), lengths)
-        found.gram[:] = self.gram
-        sums[0][:], sums[1][:] = [*self.slope, *self.information.ravel()], self.total
+        found.gram[:], total[:] = self.gram, self.total
         return -1
 
     def _moved(self, value: np.ndarray, by_level: np.ndarray) -> np.ndarray:
@@ -836,8 +832,8 @@ class InterpretedFilter:
             self.p -= gain[:, :, None] * g[:, None, :]
             q = np.log(s[1:]).imag / _STEP
             self.gram += np.outer(row, row) / variance
-            self.slope += 0.5 * q * (1 - square)
-            self.information += 0.5 * np.outer(q, q)
+            found.level_slope[:] += 0.5 * q * (1 - square)
+            found.level_information[:] += 0.5 * np.outer(q, q)
             self.total += np.log(variance), square
             if len(found.rows):
                 found.rows[k, i, len(row) - 1 :] = q
@@ -972,7 +968,7 @@ class FilterKernel(Kernel):
 
         if self.library is None:
             slow = InterpretedFilter(self.model, along, z0, kept)
-            return done(slow.filter(first, chosen, levels, n_active, found, (level, total)))
+            return done(slow.filter(first, chosen, levels, n_active, found, total))
         columns = np.full(max(self.n_free, 1), -1, dtype=np.intc)
         # Behind the active components: chosen parameters, then those that are random.
         columns[[*chosen, *random]] = n_active + np.arange(len(chosen) + len(random))

@@ -298,9 +298,8 @@ class Innovations:
                 f"The filter of run {given.name!r} diverges. Check levels and times of the "
                 "disturbance forces, or shorten the run."
             )
-        n_columns = len(model.states) + len(free)
         seen = np.isfinite(measured)
-        rows = swept.rows[seen][:, :n_columns]
+        rows = swept.rows[seen]
         if changes is None:
             return rows
         roots, moved = np.sqrt(swept.variances[seen]), []

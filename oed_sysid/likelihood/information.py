@@ -329,7 +329,11 @@ class _Colour:
             # Too many gaps for differences between neighbours.
             a, whiter = np.zeros_like(a), list(residuals)
         longest = max(2, min(len(residual) for residual in whiter) // 4)
-        lags = _taper_length(whiter) if lags is None else min(lags, longest)
+        if lags is None:
+            # Where the slowest output's correlation has faded, times a margin.
+            faded = max([1.0, *(len(seen) / some for seen, some in counted_samples(whiter))])
+            lags = int(4 * faded)
+        lags = min(lags, longest)
         # Flat over half the lags, then a straight line to zero.
         taper = np.minimum(1.0, 2.0 * (1.0 - np.arange(lags + 1) / (lags + 1.0)))
         # Through the covariances of the residuals themselves, so that no sample is lost to a gap.
@@ -353,13 +357,6 @@ def _stable(recursion: np.ndarray) -> np.ndarray:
     """Shrink a recursion that remembers for longer than a record can tell."""
     left, values, right = np.linalg.svd(recursion)
     return (left * np.minimum(values, LONGEST_MEMORY)) @ right
-
-
-def _taper_length(residuals: Sequence[np.ndarray]) -> int:
-    """Lag where the slowest output's correlation has faded, times a margin."""
-    longest = max([1.0, *(len(seen) / some for seen, some in counted_samples(residuals))])
-    shortest = min(len(residual) for residual in residuals)
-    return int(np.clip(4 * longest, 1, max(2, shortest // 4)))
 
 
 def _lagged_covariance(residuals: Sequence[np.ndarray], lags: int) -> np.ndarray:

@@ -49,6 +49,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.disturbances import DISTURBANCE
 from oed_sysid.runtime.constants import NEGLIGIBLE, ROUNDING
+from oed_sysid.runtime.display import plain
 
 # Steps of a period over which the force of a sea is held at most: a wave held over an n-th of its
 # period loses the share 1 - sinc(1/n) = pi^2/(6 n^2) of its amplitude. These are twelve; half as
@@ -222,16 +223,10 @@ class Sea:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the sea as plain data for JSON."""
-        return {
-            "period": self.period,
-            "bandwidth": self.bandwidth,
-            "shape": self.shape,
-            "levels": None if self.levels is None else dict(self.levels),
-            "significant": self.significant,
-            **{n: dict(v) for n in ("phases", "coherence") if (v := getattr(self, n)) is not None},
-            **{n: v for n in ("height", "direction") if (v := getattr(self, n)) is not None},
-            **({} if self.records is None else {"records": [*self.records]}),
-        }
+        always = ("period", "bandwidth", "shape", "levels", "significant")
+        known = ("phases", "coherence", "height", "direction", "records")
+        told = (*always, *(name for name in known if getattr(self, name) is not None))
+        return {name: plain(getattr(self, name)) for name in told}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Sea:
