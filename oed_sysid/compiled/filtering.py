@@ -579,12 +579,11 @@ class Along:
     active: Sequence[int] | np.ndarray | None = None
     passing: Sequence[int] | np.ndarray = ()
     longest_step: float | None = None
-    beyond: Any = np.inf
+    beyond: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        every = np.broadcast_to(self.beyond, np.shape(self.measured))
-        object.__setattr__(self, "beyond", every)
-        for name in ("times", "inputs", "values", "measured", "beyond"):
+        given = () if self.beyond is None else ("beyond",)
+        for name in ("times", "inputs", "values", "measured", *given):
             object.__setattr__(self, name, *doubles(getattr(self, name)))
 
     @property
@@ -685,7 +684,8 @@ class InterpretedFilter:
         self.size = self.coloured.stop + noise.n_second
         self.extra = slice(self.na, self.size)
         self.levels: Sequence[tuple[int, int]] = ()
-        self.beyond = along.beyond
+        most = np.inf if along.beyond is None else along.beyond
+        self.beyond = np.broadcast_to(most, along.measured.shape)
         # Of the record as it is; below it, of derivatives by levels.
         self.mean = np.zeros((1, self.size))
 
