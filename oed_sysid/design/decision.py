@@ -710,7 +710,9 @@ class Logbook:
         """
         place = Path(folder) / NAME
         try:
-            kept = decode(read_json(place), _kinds())
+            # When it is read: manoeuvres of one's own are known by then.
+            kinds = (*dataclasses_of(Candidate), *dataclasses_of(NoiseModel))
+            kept = decode(read_json(place), kinds)
             data = {name: kept[name] for name in _KEPT}
         except (DataError, KeyError, TypeError) as error:
             raise FileError(
@@ -813,8 +815,3 @@ class Logbook:
 
 # What the journal holds of a logbook.
 _KEPT = [one.name for one in fields(Logbook) if one.name not in ("folder", "model", "fit")]
-
-
-def _kinds() -> tuple[type, ...]:
-    """Classes of what a journal holds; manoeuvres of one's own among them."""
-    return (*dataclasses_of(Candidate), *dataclasses_of(NoiseModel))

@@ -23,7 +23,6 @@ import numpy as np
 
 from oed_sysid.compiled.filtering import (
     SEA_PERIOD,
-    WHITE_VARIANCE,
     Along,
     Disturbed,
     FilterKernel,
@@ -103,7 +102,8 @@ class Filtered(Posed):
             getattr(self.limits, name)[self.layout.levels] = getattr(levels, name)
         if self.knowledge.information.any():  # what other records say holds these priors already
             self.limits.prior_weight[:n] = 0.0
-        self._met = self._levels_met()
+        # Levels that act on each record, and their positions among all.
+        self._met = [levels.on(record) for record in self.records]
         self.own = active_components(wide, model)
         both = active_components(wide, model, passing=True)
         commands = any(one.startswith(f"{DISTURBANCE}actuator_") for one in levels.disturbances)
@@ -303,18 +303,6 @@ class Filtered(Posed):
         touched = [index for index, (_, met) in enumerate(self._met) if moved in met]
         for index, part in zip(touched, both_cores(one, touched), strict=True):
             found[index] = part
-        return found
-
-    def _levels_met(self) -> list[tuple[Levels, np.ndarray]]:
-        """Levels that act on each record, and their positions among all."""
-        of_sea = {name: self.levels.on(name) for name in self.dataset.names}
-        found = []
-        for record in self.records:
-            here, met = of_sea[record.name]
-            if record.independent:  # nothing links its samples
-                told = np.array([kind == WHITE_VARIANCE for kind, _ in here.entries], dtype=bool)
-                here, met = here.only(told), met[told]
-            found.append((here, met))
         return found
 
     def disturbed(self, unknowns: np.ndarray) -> list[Disturbed]:

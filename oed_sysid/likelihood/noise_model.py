@@ -46,6 +46,7 @@ from oed_sysid.compiled.filtering import (
     Disturbed,
 )
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.record import Record
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.disturbances import DISTURBANCE
 from oed_sysid.runtime.constants import NEGLIGIBLE, ROUNDING
@@ -749,13 +750,15 @@ class Levels:
                 after[i] = np.exp(longer) * max(after[i] - vector[i] * longer, 0.1 * vector[i])
         return after
 
-    def on(self, record: str) -> tuple[Levels, np.ndarray]:
+    def on(self, record: Record) -> tuple[Levels, np.ndarray]:
         """Levels that act on one record, and their positions among all."""
-        seas, noise = self.noise.seas, self.noise.on(record)
+        seas, noise = self.noise.seas, self.noise.on(record.name)
         met = np.array([sea in noise.seas for sea in seas], dtype=bool)
         process = np.repeat(met, [len(sea.processes) for sea in seas])
         among = {SEA_PERIOD: met, SEA_DAMPING: met, SEA_VARIANCE: process, SEA_PHASE: process}
         keep = np.array([k not in among or among[k][i] for k, i in self.entries], dtype=bool)
+        if record.independent:  # nothing links its samples
+            keep &= np.array([kind == WHITE_VARIANCE for kind, _ in self.entries], dtype=bool)
         here = self.only(keep)
         # Counted among those that act there.
         entries = ((k, int(among[k][:i].sum()) if k in among else i) for k, i in here.entries)
