@@ -496,7 +496,7 @@ def clear_peaks(
     """
     found: list[Peak] = []
     for group in sampled_alike(records):
-        regular = [i for i in group if _is_regular(records[i].times)]
+        regular = [i for i in group if _is_regular(records[i])]
         for column, name in enumerate(outputs):
             series, time = own_samples([whitened[i][:, column] for i in regular])
             if series:
@@ -509,10 +509,11 @@ def clear_peaks(
     return list(clearest.values())
 
 
-def _is_regular(times: np.ndarray) -> bool:
-    """Whether intervals differ by less than a tenth."""
-    steps = np.diff(times)
-    return len(steps) > 1 and bool(np.ptp(steps) < 0.1 * np.median(steps))
+def _is_regular(record: Record) -> bool:
+    """Whether samples follow one another, at intervals that differ by less than a tenth."""
+    steps = np.diff(record.times)
+    regular = len(steps) > 1 and bool(np.ptp(steps) < 0.1 * np.median(steps))
+    return regular and not record.independent
 
 
 def onto_shared(
@@ -623,11 +624,8 @@ class ReducedFilter(Reduced):
     @cached_property
     def peaks(self) -> list[Peak]:
         """Outputs whose innovations oscillate with a period of their own."""
-        whitened = [
-            np.full(one.shape, np.nan) if record.independent else one
-            for record, one in zip(self.told.records, self.told.errors, strict=True)
-        ]
-        return clear_peaks(whitened, self.told.records, self.problem.model.output_names)
+        names = self.problem.model.output_names
+        return clear_peaks(self.told.errors, self.told.records, names)
 
     def errors(self, coloured: str) -> Errors:
         """Errors of the shared parameters.
