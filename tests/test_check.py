@@ -454,6 +454,34 @@ def test_a_late_signal_of_a_periodic_motion_is_found() -> None:
     assert (found.kind, abs(found.size)) == ("delay", pytest.approx(0.8, abs=0.1))
 
 
+def rolling_fast(every: int, logged: float = 1.0) -> tuple[Model, Dataset]:
+    """Roll of about 2.8 s every 0.4 s, and its rate at every so many samples."""
+    model = Model("roll", states("phi p"), (), outputs("phi p"), {"phi": "p", "p": "-p"})
+    rng, t = np.random.default_rng(3), 0.4 * np.arange(400)
+    size, angle = 0.08 + 0.03 * np.sin(0.21 * t), 2.2 * t + 0.8 * np.sin(0.13 * t)
+    phi = size * np.sin(angle)
+    p = 0.0063 * np.cos(0.21 * t) * np.sin(angle)
+    p += size * np.cos(angle) * (2.2 + 0.104 * np.cos(0.13 * t))
+    measured = np.column_stack([phi, logged * p]) + [0.009, 0.018] * rng.standard_normal((400, 2))
+    measured[np.arange(400) % every > 0, 1] = np.nan
+    return model, Dataset((Record("run", t, np.zeros((400, 0)), measured, model.channels),))
+
+
+@pytest.mark.parametrize("every", [5, 6])
+def test_a_rate_that_is_sampled_too_seldom_is_not_asked(every: int) -> None:
+    """Fewer than two samples a period: of six, a right angle was 'converted from deg twice'."""
+    model, data = rolling_fast(every)
+    found = check(data, model)
+    assert not found.findings
+    assert "Whether phi' = p: phi moves between samples of the others." in found.unchecked
+
+
+def test_a_rate_that_is_sampled_seldom_enough_is_asked() -> None:
+    """Of three and a half samples a period a wrong sign is named."""
+    model, data = rolling_fast(2, logged=-1.0)
+    assert check(data, model).serious[0].kind == "sign"
+
+
 @pytest.mark.parametrize("logged", [1.0, 1.1])
 def test_accelerations_that_are_held_make_no_scale(logged: float) -> None:
     """Between samples a velocity moves on straight lines; splines take 2 % of it away.

@@ -38,7 +38,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence import contrasts, words
-from oed_sysid.evidence.contrasts import Found, Piece, Question, Result
+from oed_sysid.evidence.contrasts import UNEXPLAINED, Found, Piece, Question, Result
 from oed_sysid.evidence.corrections import corrected_copies, why_not_more
 from oed_sysid.evidence.inputs import between_runs, input_findings, scaled_inputs
 from oed_sysid.evidence.readings import Evidence, diagnosed
@@ -134,9 +134,9 @@ def check(
     traces = [Trace.of(r, spare_signals(r)) for r in dataset]
     equations = _equations(dataset, model, traces)
     faults, traces = screened(traces)
-    equations = _told_of(equations, faults)
+    told, clean = _told_of(equations, faults), _clean(traces, faults)
+    equations = tuple(one for one in told if _is_resolved(one, clean))
     related, balances, ended = list[Finding](), tuple[Balance, ...](), None
-    clean = _clean(traces, faults)
     if equations:
         faults, related, balances, ended = _related(dataset, model, clean, equations, faults)
     faults = [_moved(one, equations) for one in faults]
@@ -147,7 +147,10 @@ def check(
         *words.jitter_finding(late, dataset),
     ]
     names = dataset.channels.output_names
-    asked, unchecked = _asked(names, traces, equations, ended), _shared(equations, traces)
+    asked, unchecked = _asked(names, traces, equations, ended), _shared(told, traces)
+    unresolved = (r for r in told if r not in equations)
+    said = "Whether {0}: {0.target} moves between samples of the others."
+    unchecked += tuple(map(said.format, unresolved))
     asked += words.jitter_rows(late, names)
     if inputs and model is not None:
         known = [f.correction for f in findings if f.correction is not None]
@@ -185,6 +188,29 @@ def _told_of(equations: tuple[Relation, ...], faults: Sequence[Fault]) -> tuple[
     """Equations without a signal that says nothing."""
     mute = set().union(*(one.names for one in faults if one.kind in ("dead", "copied")))
     return tuple(r for r in equations if mute.isdisjoint(r.names))
+
+
+def _is_resolved(relation: Relation, traces: Sequence[Trace]) -> bool:
+    """Whether a right side is measured often enough to tell of its left side.
+
+    Where the left side is measured in between, curves through the other samples must return it: of
+    motion that is faster a right log tells another motion, and that another unit or scale.
+    """
+    left = moved = 0.0
+    for trace in traces:
+        if not trace.values.keys() >= {*relation.names}:
+            continue
+        target = trace.values[relation.target]
+        apart = np.any([np.isnan(trace.values[name]) for name in relation.signals], axis=0)
+        between = apart & np.isfinite(target) & trace.usable(relation.signals)
+        seldom = trace.blank({relation.target: np.flatnonzero(apart)}).filled([relation.target])
+        if seldom and between.any():
+            missed = (target - seldom[relation.target])[between]
+            # Noise of a sample, and at most as much of those beside it.
+            noise = np.sqrt(2.0) * trace.noise[relation.target]
+            left += float(np.sum(missed**2 - noise**2))
+            moved += float(between.sum() * np.var(target[between]))
+    return left <= UNEXPLAINED**2 * moved
 
 
 def _related(
