@@ -361,6 +361,45 @@ def test_a_place_to_begin_waits_for_its_integration_step(
     assert steps == [0.5]
 
 
+LIGHT = {"c": 0.06, "k": 0.4, "b": 0.01}
+STEADY = small(
+    "lightly damped roll",
+    "phi [rad], p [rad/s] <- push [1]",
+    {"phi": "p", "p": "-c*p - k*phi + b*push"},
+    {f"{name} [1]": 1.2 * value for name, value in LIGHT.items()},
+    {"phi": 0.001, "p": 0.001},
+    step=2.0,
+)
+
+
+def pushed(seed: int) -> Dataset:
+    """A run of the roll, five samples a period, exact between samples, where a push is held."""
+    c, k, b = LIGHT.values()
+    rng, n = np.random.default_rng(seed), 300
+    move = expm(2.0 * np.array([[0.0, 1.0, 0.0], [-k, -c, b], [0.0, 0.0, 0.0]]))
+    push = np.repeat(rng.uniform(-1.0, 1.0, n // 10), 10)
+    states = np.zeros((n, 3))
+    for row in range(n - 1):
+        states[row, 2] = push[row]
+        states[row + 1] = move @ states[row]
+    measured = states[:, :2] + 0.001 * rng.standard_normal((n, 2))
+    record = Record(f"run_{seed}", 2.0 * np.arange(n), push[:, None], measured, STEADY.channels)
+    return Dataset((record,))
+
+
+def test_where_nothing_is_missing_no_estimate_depends_on_the_step() -> None:
+    """By the step as given, which damps the roll itself, a lag of the push was claimed."""
+    found = improve(STEADY, pushed(0), pushed(1), candidates=[actuator_lag("lag", "push")])
+    assert not found.steps
+    assert found.fit.model.step < 2.0
+    assert "finer_step" in {one.kind for one in found.fit.concerns}
+    plain = MultipleShooting().fit(STEADY, pushed(0))
+    for name, value in LIGHT.items():
+        error = found.fit.std_errors[name]
+        assert abs(found.fit.values[name] - value) < 3.0 * error
+        assert abs(found.fit.values[name] - plain.values[name]) < 0.3 * error
+
+
 def test_no_estimate_is_coarser_than_the_filter_of_its_study() -> None:
     """A filter made for a finer step holds the registers of a delay that go with it."""
     late = actuator_delay("late", "delta", max_delay=2.0, step=0.5, scale=0.5)

@@ -130,7 +130,7 @@ class Study:
         known_noise: bool,
         disturbances: Disturbances = "auto",
     ) -> tuple[Study, FilteredSolution]:
-        """Join model and candidates, and fit the nominal model.
+        """Join model and candidates, and fit the nominal model by steps that resolve its motion.
 
         Parameters
         ----------
@@ -188,7 +188,11 @@ class Study:
                 f"Model {model.name!r} diverges on the training records from every start that was "
                 "tried. Check signs and units of its values, or bound its parameters."
             )
-        return study, best
+        # What long steps leave would be explained by effects.
+        best = study.resolved(best)
+        step = best.problem.model.step
+        narrow, kernel = (study.kernel_by(step, narrow=one) for one in (True, False))
+        return replace(study, narrow=narrow, kernel=kernel), best
 
     def with_candidates(
         self, effects: Sequence[Effect], kernel: FilterKernel | None = None
