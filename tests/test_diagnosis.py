@@ -345,6 +345,24 @@ def test_scores_are_those_of_the_wider_model() -> None:
     assert score.estimate == pytest.approx(float(inverse[at] @ right), abs=0.05 * score.std_error)
 
 
+def test_terms_of_a_large_force_are_compared() -> None:
+    """The cube of 300 MN m, squared, is beyond single precision."""
+    law = {"phi": "p", "p": "-b*p - k*phi + m*moment"}
+    values = {"b [1/s]": 0.1, "k [1/s^2]": 1.0, "m [1/(kg m^2)]": 1e-9}
+    noise = {"phi": 0.001, "p": 0.001}
+    model = small("roll", "phi [rad], p [rad/s] <- moment [N m]", law, values, noise, step=0.5)
+    rng = np.random.default_rng(0)
+    moment = np.repeat(rng.uniform(-3e8, 3e8, 20), 10)[:, None]
+    record = Record("run", 0.5 * np.arange(200), moment, np.zeros((200, 2)), model.channels)
+    run = simulate_inputs(model, record.times, inputs=moment)
+    measured = run.outputs + 0.001 * rng.standard_normal((200, 2))
+    train = Dataset((record.with_outputs(measured),))
+    study, fit = Study.begin(model, train, None, (), known_noise=True)
+    found = TermScores(*let_in(fit, study.unit))
+    assert "moment**3" in {one.term.expression for one in found.scores}
+    assert np.diag(found.likeness) == pytest.approx(np.ones(len(found.likeness)), abs=0.01)
+
+
 @pytest.mark.slow
 def test_a_cubic_damping_is_proposed_with_its_value() -> None:
     """The true term comes first, in its equation, near its value, and removes the misfit."""

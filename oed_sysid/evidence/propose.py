@@ -536,10 +536,9 @@ class TermScores:
         root[usable] = along[usable] / left[usable]
         order = usable[np.argsort(-(root[usable] ** 2))]
         first = order[:60]  # likeness of the strongest is looked at
-        likeness = (
-            sum((rows[:, first].T @ rows[:, first]).astype(float) for rows in kept_rows)
-            - shadow[:, first].T @ shadow[:, first]
-        )
+        # Squares of a force in newtons, and of its powers, are beyond single precision.
+        strongest = np.concatenate([rows[:, first].astype(float) for rows in kept_rows])
+        likeness = strongest.T @ strongest - shadow[:, first].T @ shadow[:, first]
         columns = (root**2, root / np.maximum(left, 1e-300), 1.0 / np.maximum(left, 1e-300))
         facts = np.array([*columns, left / np.sqrt(np.maximum(full, 1e-300))]).T
         self.scores = tuple(TermScore(dictionary[i], *facts[i].tolist()) for i in order)
