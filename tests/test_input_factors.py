@@ -50,7 +50,7 @@ def records(seed: int, reads: float) -> Dataset:
     for name, thrust in (("slow", 80.0), ("fast", 150.0), ("other", 110.0)):
         steps = PRBS("rudder", 0.2, bit_time=1.0, seed=int(rng.integers(1, 100)))
         run = Experiment(
-            name, steps, duration=40.0, sample_time=0.1,
+            name, steps, duration=25.0, sample_time=0.1,
             constants={"thrust": thrust}, initial={"u": np.sqrt(thrust / 30.0)},
         )  # fmt: skip
         one = simulate(model, run, rng=rng)
