@@ -56,7 +56,10 @@ def examples() -> list[tuple[str, str]]:
 
 
 # What does not end within seconds.
-LONG = ("design", "programme", "campaign", "diagnose", "improve", "benchmark", "import")
+LONG = (
+    *("check", "report", "design", "programme", "campaign", "diagnose", "improve", "benchmark"),
+    "import",
+)
 
 
 @pytest.fixture(name="dives", scope="module")

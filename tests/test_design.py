@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -97,10 +98,16 @@ def assert_slope(measure: Measure, rows: np.ndarray, rng: np.random.Generator) -
     assert np.sum(gradient * direction) == pytest.approx(slope, rel=1e-5)
 
 
-@pytest.fixture(scope="module")
-def designed() -> Design:
+@cache
+def plain() -> Design:
     """One D-optimal design that several tests look at."""
     return quick()
+
+
+@pytest.fixture
+def designed() -> Design:
+    """That design."""
+    return plain()
 
 
 def grid(rate: float = np.inf) -> Grid:
@@ -350,9 +357,7 @@ def test_discrimination_raises_the_misfit_between_rivals() -> None:
     data = Dataset((simulate(truth, found.experiment, noise=False),))
     fit = MultipleShooting(noise="given", coloured="never", disturbances="none").fit(ship(), data)
     assert 2 * fit.cost == pytest.approx(found.misfits["cubic", "small ship"], rel=0.3)
-    plain = quick()
-    commands = plain.trajectory.inputs
-    assert min(found.misfits.values()) > _smallest_misfit(rivals, commands)
+    assert min(found.misfits.values()) > _smallest_misfit(rivals, plain().trajectory.inputs)
 
 
 def _smallest_misfit(rivals: tuple[Force, ...], commands: np.ndarray) -> float:

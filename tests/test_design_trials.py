@@ -12,7 +12,7 @@ import pytest
 from motion import small
 from scipy.integrate import solve_ivp
 from scipy.stats import binom
-from test_design import LIMITS, grid, quick, sea, ship
+from test_design import LIMITS, grid, plain, quick, sea, ship
 
 from oed_sysid import Dataset, Experiment, Force, Limits, MultipleShooting, Parameter, load_problem
 from oed_sysid.design import (
@@ -215,7 +215,7 @@ def test_stated_probability_holds_in_an_independent_simulation(careful: Design) 
 
 def test_caution_costs_little_and_its_absence_breaks_limits(careful: Design) -> None:
     """Without caution many of these vehicles leave the limits; with it most of the gain stays."""
-    bold = quick()
+    bold = plain()
     found = assess_limits(
         ship(), bold.experiment, limits=LIMITS, spread=0.3, rng=np.random.default_rng(5)
     )
@@ -353,7 +353,7 @@ RUN = Experiment(
 @pytest.fixture(scope="module", name="design")
 def _design() -> Design:
     """A small design whose limits are judged on vehicles up to 40 % off."""
-    found = quick()
+    found = plain()
     safe = assess_limits(
         found.model, found.experiment, rng=np.random.default_rng(0), spread=0.4, vehicles=60
     )

@@ -228,9 +228,11 @@ def test_standard_errors_of_residual_forces_are_honest() -> None:
 @pytest.mark.parametrize(
     ("place", "hidden"),
     [
-        ("actuator ds", {"fin_offset": 0.03}),
         ("sensor q", {"bias_q": 0.006}),
-        *slow(("force M", {"pitch_quadratic_damping": -70.0})),
+        *slow(
+            ("actuator ds", {"fin_offset": 0.03}),
+            ("force M", {"pitch_quadratic_damping": -70.0}),
+        ),
     ],
 )
 def test_other_stages_are_told_apart(place: str, hidden: dict[str, float]) -> None:

@@ -123,7 +123,7 @@ def test_design() -> None:
     check("design", "turning ship", kept | {"commands": commands[::5].tolist()}, FILTERED)
 
 
-QUICK = ("cascaded_tanks/torricelli", "esso_osaka", "kvlcc2", "remus_diving_plane")
+QUICK = ("cascaded_tanks/torricelli", "kvlcc2", "remus_diving_plane")
 # The torpedo's likelihood is flat: its last steps follow the rounding of the compiler's flags.
 LATER = ("sailboat", "torpedo")
 

@@ -293,6 +293,7 @@ def test_standard_errors_cover_under_random_forces() -> None:
     assert np.exp(np.mean(np.log(times))) == pytest.approx(FORCE_TIME, rel=0.2)
 
 
+@pytest.mark.slow
 def test_inputs_whose_log_shows_no_noise_leave_the_numbers_finite() -> None:
     """Exact commands have no level to begin at in the place of forces: they are not asked alone."""
     problem = load_problem("catamaran")
