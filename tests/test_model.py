@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import slow
 from motion import small
 from vehicles import remus
 
@@ -234,23 +235,17 @@ def test_broken_criteria_are_named(fault: str) -> None:
         check_criterion(Broken(fault), SHIP, rng=np.random.default_rng(3))
 
 
-def _checked(name: str, *, effects: bool) -> None:
-    # Without the folder of third-party data its records are left out.
-    here = "OED_SYSID_DATA" in os.environ
-    check_problem(name, rng=np.random.default_rng(4), effects=effects, records=here)
+QUICK = ("nomoto_sparse_heading", "online_ship", "torpedo")
 
 
-@pytest.mark.parametrize("name", ["nomoto_sparse_heading", "online_ship", "torpedo"])
-def test_quick_problems_keep_the_contract(name: str) -> None:
-    """Problems that simulate their data, with their candidates."""
-    _checked(name, effects=True)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", list_problems())
+@pytest.mark.parametrize(
+    "name", [*QUICK, *slow(*(name for name in list_problems() if name not in QUICK))]
+)
 def test_every_shipped_problem_keeps_the_contract(name: str) -> None:
     """All of them: README, dimensions, experiments, records, parameters, candidates."""
-    _checked(name, effects=True)
+    # Without the folder of third-party data its records are left out.
+    here = "OED_SYSID_DATA" in os.environ
+    check_problem(name, rng=np.random.default_rng(4), records=here)
 
 
 @pytest.mark.parametrize(

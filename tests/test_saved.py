@@ -193,8 +193,7 @@ def test_a_number_written_without_a_point_is_a_number(tmp_path: Path) -> None:
 
 def whole() -> dict:
     """A good file of this version as plain data."""
-    place = SAVED.parent / "saved" / "fit_format_1.json"
-    content = json.loads(place.read_text())["fit"]
+    content = json.loads(OLD.read_text())["fit"]
     head = {"format": 2, "kind": "fit", "made": {"version": "0.1.0"}}
     return {**head, "sha256": _digest(content), "content": content}
 
@@ -347,26 +346,16 @@ FOLDER = Path(__file__).parent / "saved_fits"
 OLD_FITS = FOLDER / "nomoto_format_1.json"
 
 
-@pytest.fixture
-def old() -> Fit:
-    """The fit, loaded by this version."""
-    return Fit.load(OLD_FITS)
-
-
-@pytest.fixture
-def numbers() -> dict[str, Any]:
-    """What the version that made it said."""
-    return json.loads((FOLDER / "nomoto_format_1_numbers.json").read_text(encoding="utf-8"))
-
-
 def test_the_file_is_an_old_one() -> None:
     """None of the later fields is in the file, so that the test means something."""
     fields = json.loads(OLD_FITS.read_text(encoding="utf-8"))["fit"]["fields"]
     assert not fields.keys() & {"noise", "noise_std", "innovations", "start_states"}
 
 
-def test_numbers_are_those_of_the_time(old: Fit, numbers: dict[str, Any]) -> None:
+def test_numbers_are_those_of_the_time() -> None:
     """Values, errors and likelihood are those that the version which made it printed."""
+    old = Fit.load(OLD_FITS)
+    numbers = json.loads((FOLDER / "nomoto_format_1_numbers.json").read_text(encoding="utf-8"))
     assert old.values == numbers["values"]
     assert old.std_errors == pytest.approx(numbers["std_errors"], rel=1e-12)
     assert old.log_likelihood == pytest.approx(numbers["log_likelihood"], rel=1e-12)
@@ -375,8 +364,9 @@ def test_numbers_are_those_of_the_time(old: Fit, numbers: dict[str, Any]) -> Non
     assert old.rms == pytest.approx(numbers["rms"], rel=1e-12)
 
 
-def test_what_is_new_has_a_meaning_for_it(old: Fit, tmp_path: Path) -> None:
+def test_what_is_new_has_a_meaning_for_it(tmp_path: Path) -> None:
     """It has white noise and free start states, predicts, and is saved in today's form."""
+    old = Fit.load(OLD_FITS)
     assert old.noise is not None
     assert old.noise.is_white
     assert old.noise.white == pytest.approx(old.sigma)
