@@ -8,9 +8,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.signal import hilbert
 
+from benchmarks.truth import runge_kutta
 from oed_sysid import Dataset, Fit, Input, Model, MultipleShooting, Output, Parameter, Record, State
 from oed_sysid.compiled.filtering import FIRST_PAIR, FOURTH, SEA_PHASE, SECOND_PAIR, rates
 from oed_sysid.errors import ModelError
@@ -81,36 +81,27 @@ def recorded(
 ) -> Record:
     """One run with fins in squares of some half periods, an elevation of waves for each axis."""
     times = 0.25 * np.arange(480)
+    fins = np.column_stack([np.where(times // half % 2 < 1, 0.2, -0.2) for half in halves])
+    # At the start, the middle and the end of each step.
+    at = times[:, None, None] + np.array([[0.0], [0.125], [0.25]])
+    waves = [
+        np.cos(w * at + start - late) @ size
+        for (w, size, start), late in zip(seas, (0.0, behind), strict=True)
+    ]
+    pushes = push * np.stack(waves, axis=-1)
 
-    def pushes(t: float) -> np.ndarray:
-        waves = [
-            size @ np.cos(w * t + start - late)
-            for (w, size, start), late in zip(seas, (0.0, behind), strict=True)
-        ]
-        return push * waves
-
-    def fins(t: float) -> list[float]:
-        return [0.2 if (t // half) % 2 < 1 else -0.2 for half in halves]
+    def slope(x: np.ndarray, part: int, k: int) -> np.ndarray:
+        p, q, phi, theta = x
+        roll = -TRUE["Kp"] * p - TRUE["Kb"] * phi + TRUE["Kd"] * fins[k, 0]
+        pitch = -TRUE["Mq"] * q - TRUE["Mb"] * theta + TRUE["Md"] * fins[k, 1]
+        return np.array([roll + pushes[k, part, 0], pitch + pushes[k, part, 1], p, q])
 
     state, states = np.zeros(4), []
-    for begin in times:
+    for k in range(len(times)):
         states.append(state)
-        da, de = fins(begin)
-
-        def slope(t: float, x: np.ndarray, da: float = da, de: float = de) -> list[float]:
-            k, m = pushes(t)
-            p, q, phi, theta = x
-            return [
-                -TRUE["Kp"] * p - TRUE["Kb"] * phi + TRUE["Kd"] * da + k,
-                -TRUE["Mq"] * q - TRUE["Mb"] * theta + TRUE["Md"] * de + m,
-                p,
-                q,
-            ]
-
-        state = solve_ivp(slope, (begin, begin + 0.25), state, rtol=1e-6).y[:, -1]
+        state = runge_kutta(slope, state, 0.25, k)
     noise = [4e-3, 4e-3, 3e-3, 3e-3] * rng.standard_normal((len(times), 4))
-    inputs = np.array([fins(t) for t in times])
-    return Record(name, times, inputs, states + noise, MODEL.channels)
+    return Record(name, times, fins, states + noise, MODEL.channels)
 
 
 @cache
