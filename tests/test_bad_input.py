@@ -16,7 +16,6 @@ from yaw_vehicle import NOISE, yaw_data, yaw_model
 from oed_sysid import check, diagnose, improve, simulate, turning_circle, usual_effects
 from oed_sysid.data.dataset import Dataset, Record, read_csv
 from oed_sysid.errors import OedSysidError, ProblemError
-from oed_sysid.experiments import manoeuvres as m
 from oed_sysid.experiments.definition import faults
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.problem import list_problems, load_problem
@@ -105,14 +104,12 @@ MISTAKES: dict[str, Callable[[], object]] = {
 # What other parts are refused with: the words that its message has.
 CASES: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
     "limit NaN": (lambda: Limits(inputs={"a": (NAN, 1.0)}), ("expected (lower, upper)",)),
-    "limit as text": (lambda: Limits(inputs={"a": ("x", 1.0)}), ("expected (lower, upper)",)),
     "limit upside down": (lambda: Limits(signals={"z": (10.0, 2.0)}), ("signal 'z'",)),
     "rate of zero": (lambda: Limits(rates={"a": 0.0}), ("above zero",)),
     "limit as a number": (lambda: Limits(inputs={"a": 3.0}), ("expected (lower, upper)",)),
     "limits as a list": (lambda: Limits(inputs=[1.0]), ("expected a mapping",)),
     "rate NaN": (lambda: Limits(rates={"a": NAN}), ("above zero",)),
     "rate as text": (lambda: Limits(rates={"a": "1"}), ("above zero",)),
-    "duration of zero": (lambda: Experiment("a", duration=0), ("several samples",)),
     "duration NaN": (lambda: Experiment("a", duration=NAN), ("several samples",)),
     "duration infinite": (lambda: Experiment("a", duration=INF), ("several samples",)),
     "duration as text": (lambda: Experiment("a", duration="5"), ("duration '5'",)),
@@ -125,15 +122,6 @@ CASES: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
     "constant as text": (lambda: Experiment("a", duration=5, constants={"r": "x"}), ("mapping",)),
     "noise below zero": (lambda: Experiment("a", duration=5, noise={"r": -1}), ("'r' = -1",)),
     "manoeuvre as text": (lambda: Experiment("a", "zigzag", duration=5), ("got a str",)),
-    "amplitude NaN": (lambda: m.ZigZag("r", NAN, 0.1), ("amplitude nan",)),
-    "table of unequal rows": (
-        lambda: Force("f", {"X": "E*T(u)"}, SIZE, tables={"T": ([0, 1], [1])}),
-        ("Table 'T'",),
-    ),
-    "table that runs backwards": (
-        lambda: Force("f", {"X": "E*T(u)"}, SIZE, tables={"T": ([1, 0], [1, 2])}),
-        ("does not increase strictly",),
-    ),
     "table as a number": (
         lambda: Force("f", {"X": "E*T(u)"}, SIZE, tables={"T": 5}),
         ("expected rows of numbers",),
@@ -144,7 +132,6 @@ CASES: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
     ),
     "noise level below zero": (lambda: Output("y", "m", noise_std=-1.0), ("noise_std -1.0",)),
     "noise level NaN": (lambda: Output("y", "m", noise_std=NAN), ("noise_std nan",)),
-    "noise level as text": (lambda: Output("y", "m", noise_std="1"), ("noise_std '1'",)),
     "scale of zero": (lambda: State("y", "m", scale=0.0), ("scale 0.0",)),
     "sign of zero": (lambda: Input("y", "m", sign=0.0), ("sign 0.0",)),
     "times as text": (

@@ -98,13 +98,8 @@ def test_unknown_name_gets_near_matches_and_advice(shipped: Path) -> None:
     assert "new_problem" in str(caught.value)
     with pytest.raises(ProblemError, match="there is no folder /no/where"):
         load_problem("/no/where")
-
-
-def test_a_file_is_no_folder(tmp_path: Path) -> None:
-    """What the path leads to is said."""
-    (tmp_path / "run.csv").write_text("t [s]\n")
     with pytest.raises(ProblemError, match="is a file"):
-        load_problem(tmp_path / "run.csv")
+        load_problem(Path(__file__).with_name("bare_numbers.toml"))
 
 
 def test_variants_change_what_is_believed() -> None:

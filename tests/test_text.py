@@ -437,13 +437,6 @@ def test_dimension(text: str, unit: str) -> None:
     assert dimension_of(text, KNOWN) == dimension(unit)
 
 
-@pytest.mark.parametrize("text", ["w + q", "w + q + 3.0", "sin(w)", "w > q", "min(w, h)", "2**w"])
-def test_unlike_quantities_do_not_meet(text: str) -> None:
-    """Adding, comparing or transforming what has unlike dimensions is an error."""
-    with pytest.raises(ModelError, match="meets"):
-        dimension_of(text, KNOWN)
-
-
 def test_unknown_units_spread() -> None:
     """What has no stated unit is neither derived nor refused."""
     assert dimension_of("x*w", KNOWN) is None
