@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -275,26 +276,18 @@ class Filtered(Posed):
             Passes at a point of which one level, by its number, has moved: it leaves those of
             records on which it does not act.
         """
-        if not columns or levels_only:
-            names = ()
-        elif names is None:
-            names = self.layout.free_names
-        noises, levels = self.disturbed(unknowns), columns and levels
-        wanted: dict[str, Any] = {
-            "names": names,
-            "own_columns": columns and not levels_only,
-            "rows": rows,
-            "gains": gains,
-            "moves": moves,
-        }
-
-        given = {"measured": measured, "beyond": beyond}
+        levels, columns = columns and levels, columns and not levels_only
+        if names is None or not columns:
+            names = self.layout.free_names if columns else ()
+        run = partial(self.kernel.filter, names=names, own_columns=columns)
+        noises, given = self.disturbed(unknowns), {"measured": measured, "beyond": beyond}
 
         def one(index: int) -> FilterPass:
             own: dict[str, Any] = {n: one[index] for n, one in given.items() if one is not None}
             along = self._along(unknowns, index, noises[index])
             along, (here, met) = replace(along, passing=self.passing, **own), self._met[index]
-            part = self.kernel.filter(along, levels=here.entries if levels else (), **wanted)
+            entries = here.entries if levels else ()
+            part = run(along, levels=entries, rows=rows, gains=gains, moves=moves)
             return _among_all(part, met, len(self.levels)) if levels else part
 
         if instead_of is None:
