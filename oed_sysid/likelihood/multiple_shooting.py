@@ -21,6 +21,7 @@ from oed_sysid.likelihood.departures import (
 from oed_sysid.likelihood.disturbances import Place, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import ProcessNoiseTest
+from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FEW, FilteredSolution, Progress, Solution, solve
 from oed_sysid.likelihood.integration import resolved
@@ -118,7 +119,7 @@ class MultipleShooting:
     start: str = "auto"
     coloured: str = "auto"
     progress: Callable[[Progress], None] | None = None
-    solver: estimator.Solver = estimator.Solver()  # noqa: RUF009 (frozen)
+    solver: Solver = Solver()  # noqa: RUF009 (frozen)
     disturbances: Disturbances = "auto"
     horizon: float | None = None
 
@@ -130,7 +131,7 @@ class MultipleShooting:
         if self.interval is not None:
             advice = "Give a positive length in s, infinity for single shooting, or None."
             estimator.check_positive("Shooting interval", self.interval, advice, infinite=True)
-        if not isinstance(self.solver, estimator.Solver):
+        if not isinstance(self.solver, Solver):
             raise ModelError(f"solver is {self.solver!r}. Write solver=Solver({self.solver!r}).")
         loss_by_name(self.loss)
         if self.horizon is not None:
@@ -713,11 +714,9 @@ def _left(fit: Fit, before: np.ndarray) -> Dataset | None:
     outputs = [record.outputs for record in fit.dataset]
     held = noise_levels.held_masks(outputs, fit.series, fit.sigma)
     masks = [one | other for one, other in zip(single, held, strict=True)]
-    return (
-        noise_levels.without_spikes(fit.dataset, masks)
-        if any(mask.any() for mask in masks)
-        else None
-    )
+    if not any(mask.any() for mask in masks):
+        return None
+    return noise_levels.without_spikes(fit.dataset, masks)
 
 
 @dataclass(frozen=True, eq=False)
