@@ -38,7 +38,7 @@ def test_the_statistic_of_a_true_disturbance_is_chi_squared(
 ) -> None:
     """Also where a helmsman answers it: mean and variance over 24 seas, by those of chance."""
     monkeypatch.setattr(laws_module, "RARE", 1.0)
-    monkeypatch.setattr(laws_module, "DRAWS", 4)
+    monkeypatch.setattr(laws_module, "CHUNK", 4)
     found = [law for seed in range(24) for law in asked(seed, answer, nothing)]
     assert len(found) == 24
     freedom = np.array([law.freedom for law in found])
@@ -91,7 +91,7 @@ DRIFTS = tuple(f"force v{i}" for i in range(3))
 def test_motion_that_wanders_makes_no_law(monkeypatch: pytest.MonkeyPatch) -> None:
     """Positions without springs make the statistic a third too large; what is drawn tells that."""
     monkeypatch.setattr(laws_module, "RARE", 3.0)  # one for each of three places
-    monkeypatch.setattr(laws_module, "DRAWS", 4)
+    monkeypatch.setattr(laws_module, "CHUNK", 4)
     noise = NoiseModel(
         np.full(6, NOISE), np.zeros(6), np.full(3, LEVEL), TIME, TIME, ADRIFT.output_names, DRIFTS
     )
@@ -177,7 +177,7 @@ def test_a_law_is_told_from_a_sea(shape: str, monkeypatch: pytest.MonkeyPatch) -
         beside = found(1, wall)
         assert beside.statistic > beside.needed
     monkeypatch.setattr(laws_module, "RARE", 1.0)
-    monkeypatch.setattr(laws_module, "DRAWS", 4)
+    monkeypatch.setattr(laws_module, "CHUNK", 4)
     away = [(one.statistic - one.freedom) / np.sqrt(2.0 * one.freedom)
             for one in (found(seed, nothing) for seed in range(12))]  # fmt: skip
     assert abs(np.mean(away)) < 4 / np.sqrt(12)
