@@ -29,6 +29,7 @@ from kinematic_logs import (
 from marks import slow
 from motion import UNITS, outputs, small, states
 from scipy.fft import dct
+from scipy.linalg import expm
 from scipy.signal import lfilter
 from simple_models import nomoto
 from yaw_vehicle import TRUE, yaw_data, yaw_model
@@ -1298,3 +1299,60 @@ def test_moments_are_not_told_by_a_speed_that_is_smoothed_from_positions() -> No
     assert asked.state == "not tested"
     assert asked.says.startswith("v ")
     assert not found.suspect
+
+
+def held_roll(step: float, factor: float, seed: int, *, logged: bool) -> LogCheck:
+    """The check of a roll of 3.8 s, its command held from sample to sample, ``p`` times a factor.
+
+    By the exact solution over each step, :math:`x_{k+1} = e^{Ah} x_k + (1 - e^{Ah}) (c_k, 0)`. The
+    nominal model is 10 % off; it has the command where that is ``logged``.
+    """
+    known = {"damping": 0.55, "stiffness": 2.7}
+    text = "-damping*p - stiffness*(phi - command)" if logged else "-damping*p - stiffness*phi"
+    model = Model(
+        "roll", (State("phi", "rad"), State("p", "rad/s")),
+        (Input("command", "rad"),) if logged else (),
+        (Output("phi", "rad"), Output("p", "rad/s")), {"phi": "p", "p": text},
+        parameters=tuple(Parameter(name, 0.9 * value) for name, value in known.items()),
+    )  # fmt: skip
+    rng = np.random.default_rng(seed)
+    times = np.arange(420) * step
+    moves = expm(step * np.array([[0.0, 1.0], [-known["stiffness"], -known["damping"]]]))
+    lines, phases = 2.0 * np.pi * np.arange(1, 7) / 45.0, rng.uniform(0.0, 2.0 * np.pi, 6)
+    commands = 0.02 * np.sin(np.outer(times, lines) + phases).sum(axis=1, keepdims=True)
+    rows = np.zeros((420, 2))
+    for k, (command,) in enumerate(commands[:-1]):
+        rest = np.array([command, 0.0])
+        rows[k + 1] = rest + moves @ (rows[k] - rest)
+    rows[:, 1] *= factor
+    noisy = rows + 0.001 * rng.standard_normal(rows.shape)
+    record = Record("r", times, commands if logged else commands[:, :0], noisy, model.channels)
+    return check(Dataset((record,)), model)
+
+
+@pytest.mark.parametrize("logged", [False, True])
+def test_what_a_vehicle_does_between_samples_is_no_scale_of_its_rate(logged: bool) -> None:
+    """A rate that is sampled three times a natural period is of no wrong scale.
+
+    Straight lines miss (1.2 s x 1.64 rad/s)^2 / 12, 32 %, under a command that is held.
+    """
+    for seed in range(3):
+        found = held_roll(1.2, 1.0, seed, logged=logged)
+        assert not found.findings
+        scale = next(one for one in found.judged if (one.fault, one.signal) == ("scale", "p"))
+        assert scale.state == "tested"
+        assert 0.1 < 0.01 * float(scale.says.removesuffix(" %")) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("step", "factor", "logged"), [(0.2, 0.95, False), (0.4, 1.3, False), (0.8, 1.3, True)]
+)
+def test_a_wrong_scale_of_a_rate_is_told_from_motion_between_samples(
+    step: float, factor: float, logged: bool
+) -> None:
+    """With its command in the log, five samples a natural period tell a third too much."""
+    for seed in range(3):
+        (one,) = held_roll(step, factor, seed, logged=logged).findings
+        assert (one.kind, one.signals) == ("scale", ("p",))
+        assert one.size == pytest.approx(factor - 1.0, abs=0.05)
+        assert one.interval[0] < factor - 1.0 < one.interval[1]

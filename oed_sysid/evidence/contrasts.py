@@ -54,7 +54,7 @@ from scipy.special import stdtrit
 
 from oed_sysid.evidence.chance import FALSE_CLAIMS
 from oed_sysid.evidence.corrections import ADDED, lagged, level_axis, logged, pivot, undo
-from oed_sysid.evidence.relations import READINGS, Relation, names_of
+from oed_sysid.evidence.relations import READINGS, Relation, names_of, nominal_rates
 from oed_sysid.evidence.result import Correction
 from oed_sysid.evidence.traces import LEAST, Trace, fast_noise, units_of
 from oed_sysid.likelihood.projection import ABSORBED
@@ -169,6 +169,16 @@ class Motion:
         told = {r.target: self.right[i] for i, r in self.known.items() if r.is_rate}
         untold = self.raw.keys() - told.keys()
         return told | {n: np.gradient(hann(self.raw[n], 9), self.trace.times) for n in untold}
+
+    @cached_property
+    def moving(self) -> dict[str, np.ndarray]:
+        """Rates of measured states by the nominal model, where there is one."""
+        model = next((r.model for r in self.known.values() if r.model is not None), None)
+        if model is None:
+            return {}
+        trace = self.trace
+        shown = self.raw | trace.filled({o.name for o in model.outputs} & {*trace.values})
+        return nominal_rates(model, trace.times, shown, trace.inputs)
 
     @cached_property
     def values(self) -> dict[str, np.ndarray]:
@@ -373,9 +383,11 @@ def _rms(traces: Sequence[Trace], name: str) -> float:
 class Piece:
     """Cosine coefficients of one equation over one uninterrupted piece of a record.
 
-    ``times`` are those of the blocks, ``residual``, ``target`` and ``sampled``, what is not known
-    of the integral between samples, ``(n,)``, ``columns`` ``(n, n_used)`` of the candidates
-    ``used``, those in the record before those at its places; a block has ``group`` samples and
+    ``times`` are those of the blocks, ``residual`` and ``target`` ``(n,)``, ``sampled`` ``(n, 2)``
+    is what is not known of the integral between samples, by what the nominal model leaves and by
+    what it may lack (:meth:`~oed_sysid.evidence.relations.Relation.sampled`), ``columns``
+    ``(n, n_used)`` are those of the candidates ``used``, those in the record before those at its
+    places; a block has ``group`` samples and
     length ``span`` in s; ``walk`` is the variance per block that the fast noise of the rates
     produces, ``level`` the deviation of the left side's, ``shares`` the part of each signal in
     ``walk``; ``forced`` where forces are noise of the equation, ``is_rate`` where that is of a
@@ -481,8 +493,12 @@ def contrasts(
         target, zero = trace.values[relation.target], np.zeros(trace.times.size)
         # Residual, left side, sampling, candidates, what begins anywhere: each a left side less an
         # integral.
-        sampled = relation.sampled(trace.times, right) if relation.is_rate else zero
-        pairs = [(target, right), (target, zero), (sampled, zero)]
+        jumps, *unsure = (
+            relation.sampled(trace.times, inner, motion.moving)
+            if relation.is_rate
+            else (zero, zero, zero)
+        )
+        pairs = [(target - jumps, right), *((one, zero) for one in (target, *unsure))]
         for shape in shapes.values():
             own = {n: shape[n] for n in slopes.keys() & shape.keys()}
             change = relation.along(inner, trace.times, own)
@@ -552,10 +568,10 @@ def _pieces(
         whole = (left[piece] - sums)[rows]
         means = factor * whole.reshape(n, group, -1).mean(axis=1)
         middle = times[rows].reshape(n, group).mean(axis=1)
-        grown = zip(begun, means[:, 3 + len(shaped) :].T, strict=True)
+        grown = zip(begun, means[:, 4 + len(shaped) :].T, strict=True)
         placed = [one.columns(middle, series, rated=rated) for one, series in grown]
         # The constant is left out: an integral is known up to where it began.
-        waves = dct(np.hstack([means[:, : 3 + len(shaped)], *placed]), axis=0, norm="ortho")[1:]
+        waves = dct(np.hstack([means[:, : 4 + len(shaped)], *placed]), axis=0, norm="ortho")[1:]
         if not waves[:, :2].any():  # a constant says nothing
             continue
         span = float(times[-1] - times[0]) / n
@@ -568,8 +584,8 @@ def _pieces(
             times=middle,
             residual=waves[:, 0],
             target=waves[:, 1],
-            sampled=waves[:, 2],
-            columns=waves[:, 3:],
+            sampled=waves[:, 2:4],
+            columns=waves[:, 4:],
             used=used,
             span=span,
             group=group,
@@ -687,9 +703,10 @@ def assemble(
             # Noise of the right side is integrated where the left side is a rate.
             first = len(CORRELATIONS) if piece.is_rate else 0
             part = (shares[first:] @ here[first:]) / level
-            half = 0.5 * _attenuation(piece, every, float(part.sum()), power)
-            right[used] -= half
-            doubt[used] += np.abs(half) + np.abs(white.T @ (piece.sampled / np.sqrt(level)))
+            noisy = 0.5 * _attenuation(piece, every, float(part.sum()), power)
+            left, lacking = (piece.sampled / np.sqrt(level)[:, None]).T @ white
+            right[used] -= noisy
+            doubt[used] += np.abs(noisy) + np.abs(left) + np.abs(lacking)
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = 2.0 * own**2 / relative
     freedom = np.clip(np.nan_to_num(freedom, nan=3.0, posinf=1e6), 3.0, 1e6)
@@ -873,9 +890,8 @@ class System:
 
     def able(self, chosen: Sequence[int], size: np.ndarray, std: np.ndarray) -> np.ndarray:
         """Which candidates are of a size that matters and that such faults have."""
-        least = self.of("material") + 1.5 * std**2 * self.doubt
         own = self._own(size)
-        result = (own >= least) & (own <= self.of("largest"))
+        result = (own >= self.least(std)) & (own <= self.of("largest"))
         result[list(chosen)] = False
         return result
 
@@ -905,8 +921,12 @@ class System:
     def visible(self, chosen: Sequence[int]) -> list[tuple[Candidate, float]]:
         """Every candidate with the least size that would be seen beside some."""
         error = self.beside(chosen)[2]
-        least = np.sqrt(self.limits) * np.where(error > 0.0, error, np.inf)
-        return [*zip(self.faults, least.tolist(), strict=True)]
+        told = np.sqrt(self.limits) * np.where(error > 0.0, error, np.inf)
+        return [*zip(self.faults, np.maximum(told, self.least(error)).tolist(), strict=True)]
+
+    def least(self, std: np.ndarray) -> np.ndarray:
+        """Least sizes that matter, and that noise in a regressor or the sampling does not make."""
+        return self.of("material") + 1.5 * std**2 * self.doubt
 
     def anywhere(self, chosen: Sequence[int]) -> list[tuple[Candidate, float]]:
         """What may begin at any place, with the size that would be seen at the median of them."""

@@ -54,7 +54,7 @@ from oed_sysid.evidence.contrasts import (
 )
 from oed_sysid.evidence.corrections import ORDER, corrected
 from oed_sysid.evidence.readings import diagnosed
-from oed_sysid.evidence.relations import READINGS, Relation
+from oed_sysid.evidence.relations import LEAST_PRIOR, READINGS, Relation
 from oed_sysid.evidence.result import Correction, Finding, Judged
 from oed_sysid.evidence.screens import Fault, marked, screen
 from oed_sysid.evidence.traces import Trace, fast_noise
@@ -70,8 +70,6 @@ from oed_sysid.physics.parameters import Parameter
 from oed_sysid.runtime.constants import NEGLIGIBLE
 from oed_sysid.text.expressions import names as names_in
 
-# A declared prior is not trusted beyond this share of its mean: nominal physics lacks as much.
-LEAST_PRIOR = 0.25
 # What is asked of an input.
 ASKED = ("sign", "unit", "bias", "scale", "delay", "lost")
 # Exact coincidences that no measured input has; at a limit an actuator stays rightly.
@@ -96,9 +94,11 @@ class Nominal(Relation):
         steps = np.diff(times)[:, None] * columns[:-1]
         return np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(steps, axis=0)])
 
-    def sampled(self, times: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """Nothing: rates are means over the steps, ``(n_times,)``."""
-        return np.zeros(times.size)
+    def sampled(
+        self, times: np.ndarray, values: Mapping[str, np.ndarray], moving: Mapping[str, np.ndarray]
+    ) -> np.ndarray:
+        """Nothing: rates are means over the steps, ``(3, n_times)``."""
+        return np.zeros((3, times.size))
 
 
 @lru_cache(maxsize=128)

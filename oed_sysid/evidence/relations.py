@@ -15,6 +15,17 @@ names (SNAME 1950; Fossen 2021, Handbook of Marine Craft, eqs. 2.26 and 2.38),
 
 with the angles and rates that are not measured taken as zero.
 
+Between samples a rate :math:`f` moves on, which its integral over a step :math:`h` shows by how
+much its slope changes over the step, :math:`-\tfrac{h^2}{12} (\dot f_{k+1}^- - \dot f_k^+)`.
+Where a command is held slopes jump at the samples, and those across samples do not show the motion
+between them: a vehicle of natural frequency :math:`\omega_0` swings on, which is worth
+:math:`h^2 \omega_0^2 / 12` of its rate. The nominal model, at the measured states and inputs, gives
+slopes :math:`g^-, g^+` just before and after each sample, and leaves
+:math:`d = \Delta f / \Delta t - (g^- + g^+)/2` of the slope across it. With
+:math:`B(a^-, a^+) = -\sum \tfrac{h^2}{12} (a_{k+1}^- - a_k^+)` the integral is that by straight
+lines plus :math:`B(g^-, g^+) + \gamma B(d, d)`: what the model leaves is held like a command
+(:math:`\gamma = 0`) or goes on between samples (:math:`\gamma = 1`).
+
 Columns of a file that no channel asked for, but whose names say what they are.
 
 A log often holds more than a model needs: positions beside a heading model, say. Where such a
@@ -26,13 +37,13 @@ from __future__ import annotations
 import contextlib
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
+from oed_sysid.compiled.graph import build
 from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.record import Record, unwrapped
 from oed_sysid.errors import DataError
@@ -47,6 +58,8 @@ _TABLE = tomllib.loads(files("oed_sysid.data").joinpath("kinematics.toml").read_
 STANDARD_UNITS: dict[str, str] = _TABLE["units"]
 # Factor and meaning of the units that numbers may be in, by the unit that they should be in.
 READINGS: dict[str, list[tuple[float, str]]] = _TABLE["readings"]
+# A declared prior is not trusted beyond this share of its mean: nominal physics lacks as much.
+LEAST_PRIOR = 0.25
 
 
 @dataclass(frozen=True)
@@ -71,6 +84,8 @@ class Relation:
         Signals of the right side whose errors are asked; all if not given.
     driven : tuple of str
         Those that may lose their effect: none of kinematics.
+    model : Model, optional
+        The nominal model, which says how measured states move between samples.
     """
 
     target: str
@@ -81,6 +96,7 @@ class Relation:
     constants: Mapping[str, float] = field(repr=False)
     asked: tuple[str, ...] = ()
     driven: tuple[str, ...] = ()
+    model: Model | None = field(default=None, repr=False)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -91,13 +107,37 @@ class Relation:
         """Cumulative integral of rates of :meth:`__call__`, ``(n_times, k)``; first row zero."""
         return integral(times, columns)
 
-    def sampled(self, times: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """What curves between samples change of the integral by straight lines, ``(n_times,)``.
+    def sampled(
+        self, times: np.ndarray, values: Mapping[str, np.ndarray], moving: Mapping[str, np.ndarray]
+    ) -> np.ndarray:
+        r"""What motion between samples may change of the integral, ``(3, n_times)``.
 
-        Where commands are held, accelerations jump, and slopes across samples are as wrong as none.
+        Parameters
+        ----------
+        times : numpy.ndarray
+        values : mapping of str to numpy.ndarray
+            Signals, as of a call.
+        moving : mapping of str to numpy.ndarray
+            Of signals their rates by the nominal model, as of :func:`nominal_rates`.
+
+        Returns
+        -------
+        numpy.ndarray
+            What jumps of the model's slopes add to :meth:`integral`, whose :math:`\gamma` is one;
+            the range that :math:`\gamma` leaves, :math:`B(d, d)`; and what the model may lack of
+            :math:`B(g^-, g^+)`.
         """
-        curved = self.integral(times, rates[:, None])[:, 0]
-        return curved - cumulative_trapezoid(rates, times, initial=0.0)
+        slopes = np.array(
+            [
+                self.along(values, times, {n: moving[n][side] for n in self.signals if n in moving})
+                for side in (0, 1)
+            ]
+        )
+        known = slopes.mean(axis=0)
+        left = np.gradient(self(values, times), times) - known
+        sides = np.array([slopes - known, [left, left], LEAST_PRIOR * slopes])
+        bent = -(np.diff(times) ** 2) / 12.0 * (sides[:, 0, 1:] - sides[:, 1, :-1])
+        return np.pad(np.cumsum(bent, axis=1), ((0, 0), (1, 0)))
 
     def __str__(self) -> str:
         return f"{self.target}{chr(39) if self.is_rate else ''} = {expressions.to_text(self.text)}"
@@ -155,6 +195,44 @@ def integral(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(parts, axis=0)])
 
 
+def nominal_rates(
+    model: Model, times: np.ndarray, values: Mapping[str, np.ndarray], inputs: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Rates of measured states by the nominal model, just before and just after each sample.
+
+    Parameters
+    ----------
+    model : Model
+        At its nominal values, with settled actuators; states that were not measured are nothing.
+    times : numpy.ndarray
+        Shape ``(n_times,)``, s.
+    values : mapping of str to numpy.ndarray
+        Measured signals, ``(n_times,)`` each, free of gaps.
+    inputs : numpy.ndarray
+        Shape ``(n_times, n_inputs)``; those that are held are as before until their sample.
+
+    Returns
+    -------
+    dict
+        Signal to ``(2, n_times)``; nothing where the model has no finite rate.
+    """
+    graph, shown = build(model), {o.source: o.name for o in model.outputs}
+    names, zero = [shown.get(state, "") for state in model.state_names], np.zeros(times.size)
+    own = np.array([values.get(name, zero) for name in names])
+    earlier = np.where(graph.linear_inputs, inputs, np.concatenate([inputs[:1], inputs[:-1]]))
+    # Both sides of a sample differ only where a command that is held changes.
+    apart = np.flatnonzero(np.any(earlier != inputs, axis=1))
+    rows = np.append(np.arange(times.size), apart)
+    commands = np.concatenate([inputs, earlier[apart]]).T
+    found = graph.settled_rates(own[:, rows], commands, model.value_vector, times[None, rows])
+    after, changed = np.split(np.array(found), [times.size], axis=1)
+    before = after.copy()
+    before[:, apart] = changed
+    # Where it diverges it says nothing, in numbers that can still be squared.
+    both = np.nan_to_num([before, after], posinf=0.0, neginf=0.0).clip(-1e9, 1e9)
+    return {name: both[:, k] for k, name in enumerate(names) if name}
+
+
 def names_of(relations: Iterable[Relation]) -> tuple[str, ...]:
     """All signals of some equations."""
     return tuple(dict.fromkeys(n for r in relations for n in r.names))
@@ -187,7 +265,8 @@ def relations(
     found = tuple(filter(None, declared))
     # Where the model has an equation for one of these states, it knows better.
     taken = {*model.kinematics, *(r.target for r in found)}
-    return (*found, *standard(outputs, set(spare), taken))
+    every = (*found, *standard(outputs, set(spare), taken))
+    return tuple(replace(one, model=model) for one in every)
 
 
 def _declared(

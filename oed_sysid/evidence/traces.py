@@ -50,6 +50,8 @@ class Trace:
         Shape ``(n_times,)``: samples right after a step of an input.
     fast : frozenset of str
         Signals that answer such a step faster than they are sampled.
+    inputs : numpy.ndarray
+        Shape ``(n_times, n_inputs)``: commands, as logged.
     """
 
     name: str
@@ -60,10 +62,15 @@ class Trace:
     step: float = 0.0
     pushed: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     fast: frozenset[str] = frozenset()
+    inputs: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         if not self.step:
             object.__setattr__(self, "step", float(np.median(np.diff(self.times))))
+        for name in ("pushed", "inputs"):
+            if not len(getattr(self, name)):
+                shape = self.times.shape if name == "pushed" else (self.times.size, 0)
+                object.__setattr__(self, name, np.zeros(shape, bool))
 
     @classmethod
     def of(cls, record: Record, spare: Mapping[str, np.ndarray]) -> Trace:
@@ -77,7 +84,9 @@ class Trace:
         pushed = np.zeros(record.times.size, dtype=bool)
         for column in record.inputs.T:
             pushed |= after_steps(column)
-        return cls(record.name, record.times, values, units, noise, pushed=pushed)
+        return cls(
+            record.name, record.times, values, units, noise, pushed=pushed, inputs=record.inputs
+        )
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -105,7 +114,8 @@ class Trace:
     def during(self, rows: slice) -> Trace:
         """Return some consecutive samples of the trace."""
         values = {name: series[rows] for name, series in self.values.items()}
-        return replace(self, times=self.times[rows], values=values, pushed=self.pushed[rows])
+        pushed, inputs = self.pushed[rows], self.inputs[rows]
+        return replace(self, times=self.times[rows], values=values, pushed=pushed, inputs=inputs)
 
     def thinned(self, most: int) -> Trace:
         """Return means over groups of samples so that at most ``most`` are left."""
@@ -120,10 +130,11 @@ class Trace:
         }
         times = self.times[:n].reshape(-1, group).mean(axis=1)
         noise = {name: std / np.sqrt(group) for name, std in self.noise.items()}
-        pushed = self.pushed
-        if pushed.size:
-            pushed = np.any(pushed[:n].reshape(-1, group), axis=1)
-        return replace(self, times=times, values=values, noise=noise, step=0.0, pushed=pushed)
+        pushed = np.any(self.pushed[:n].reshape(-1, group), axis=1)
+        inputs = self.inputs[group // 2 : n : group]
+        return replace(
+            self, times=times, values=values, noise=noise, step=0.0, pushed=pushed, inputs=inputs
+        )
 
     def filled(self, names: Iterable[str]) -> dict[str, np.ndarray]:
         """Series joined by cubic splines, ``(n_times,)``; those with two samples or more."""
