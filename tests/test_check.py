@@ -934,6 +934,27 @@ def test_an_offset_of_an_input_is_told_and_is_no_delay(seed: int) -> None:
     assert one.size == pytest.approx(0.05, abs=0.0025)
 
 
+@pytest.mark.parametrize(
+    ("kind", "size", "seconds"), [("step", 0.05, 60.0), *slow(("burst", 0.1, 3.0))]
+)
+def test_a_zero_of_an_input_that_jumps_is_told_with_its_moment(
+    kind: str, size: float, seconds: float
+) -> None:
+    """A rudder that is off from the middle of a record on, for good or for a moment."""
+
+    def off(angle: np.ndarray) -> np.ndarray:
+        since = 120.0 * np.arange(angle.size) / (angle.size - 1) - 60.0
+        return angle + size * ((since >= 0.0) & (since < seconds))
+
+    found = check(patrol_boat.sailings(0, off), patrol_boat.BOAT).serious
+    assert [(one.kind, one.signals) for one in found] == [(kind, ("rudder",))] * 2
+    for one in found:
+        # Of a moment its length is uncertain as well.
+        assert one.size == pytest.approx(size, rel=0.05 if kind == "step" else 0.25)
+        at = float(one.says.split("t = ")[1].split(" s")[0])
+        assert at == pytest.approx(60.0, abs=1.0)
+
+
 def twice_lost(angle: np.ndarray) -> np.ndarray:
     """The angles with two drop-outs of four samples."""
     lost = np.isin(np.arange(angle.size), [250, 251, 252, 253, 400, 401, 402, 403])

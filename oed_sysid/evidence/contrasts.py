@@ -1060,13 +1060,12 @@ def search(
         now = [faults.index(fault) for fault in active]
         inside = np.union1d(np.arange(n_common), now).astype(int)
         whole, wide = assemble(pieces, faults, places, inside)
-        # Places are picked without the given errors, beside which those picked are then asked.
         system = whole.given(n_given)
         bench = replace(system, right=system.right + [*active.values()] @ system.gram[now])
         strained = strained if turn else bench.strained(now)
         if strained and only_linear:
             return Result((), bench.visible(now), strained)
-        there = np.searchsorted(inside, now).tolist()
+        there = [*range(n_given), *np.searchsorted(inside, now).tolist()]
         picked = [fault for fault in wide.picked(there) if fault not in faults]
         chosen = bench.chosen(now)
         before, active = active, bench.sized(chosen)

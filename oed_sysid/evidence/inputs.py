@@ -71,7 +71,7 @@ from oed_sysid.runtime.constants import NEGLIGIBLE
 from oed_sysid.text.expressions import names as names_in
 
 # What is asked of an input.
-ASKED = ("sign", "unit", "bias", "scale", "delay", "lost")
+ASKED = ("sign", "unit", "bias", "scale", "delay", "step", "lost")
 # Exact coincidences that no measured input has; at a limit an actuator stays rightly.
 REPEATED = ("held", "frozen", "dropouts")
 
@@ -424,16 +424,19 @@ def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question
     common, local, single = list[Candidate](), list[Candidate](), list[Candidate]()
     for name in moving:
         size = max(float(np.nanmax(np.abs(t.values[name]))) for t in traces)
-        common.append(Candidate("bias", (name,), moving[name], 0.3 * size, NEGLIGIBLE * size))
+        bias = Candidate("bias", (name,), moving[name], 0.3 * size, NEGLIGIBLE * size)
+        common.append(bias)
         lost = Candidate("lost", (name,), "1", 1.0, 0.5, rare=RARER)
         common.append(replace(lost, material=NEGLIGIBLE, rare=0.0))
         if timed:
             common.append(Candidate("delay", (name,), "s", late, traces[0].step))
             common.append(Candidate("lag", (name,), "s", late, traces[0].step, positive=True))
         single += [replace(lost, record=t.name) for t in traces]
-        local.append(lost)
+        # A zero that jumps is rarer than a force that sets in: two equations tell them.
+        local += [lost, replace(bias, kind="step", rare=RARER)]
     for name in (one.target for one in equations):
-        usual = max(float(np.nanstd(t.values[name])) for t in traces) / length + 1e-12
+        # A force that sets in is as large as those that move the vehicle.
+        usual = max(float(np.nanstd(np.gradient(t.values[name], t.times))) for t in traces) + 1e-12
         local.append(Candidate("drift", (name,), "", usual, NEGLIGIBLE * usual))
     alone = tuple(single) if len(traces) > 1 else ()
     given = tuple(_given(traces, equations, model, length))
