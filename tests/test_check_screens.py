@@ -34,9 +34,10 @@ def wave(seed: int = 0, noise: float = 0.01, mean: float = 0.0) -> np.ndarray:
     return mean + np.sin(0.5 * TIMES) + noise * rng.standard_normal(TIMES.size)
 
 
-def traced(series: np.ndarray, pushed: np.ndarray | None = None) -> Trace:
-    """A record of one signal with its noise."""
-    return Trace("run", TIMES, {"y": series}, {"y": "m"}, {"y": 0.01}, pushed=pushed)
+def traced(series: np.ndarray, steps: tuple[int, ...] = ()) -> Trace:
+    """A record of one signal with its noise, and of a command that steps up at some samples."""
+    command = np.isin(np.arange(TIMES.size), steps).cumsum().astype(float)[:, None]
+    return Trace("run", TIMES, {"y": series}, {"y": "m"}, {"y": 0.01}, inputs=command)
 
 
 def found_in(series: np.ndarray) -> dict[str, list[int]]:
@@ -112,14 +113,13 @@ def test_a_short_hump_is_no_group() -> None:
 @pytest.mark.parametrize(("length", "n_found"), [(2, 8), (None, 4)], ids=["groups", "jumps"])
 def test_what_follows_steps_of_the_inputs_is_an_answer(length: int | None, n_found: int) -> None:
     """Groups or jumps that begin right after the four steps of an input are none; elsewhere are."""
-    starts = np.array([100, 300, 500, 700])
-    pushed = np.zeros(TIMES.size, dtype=bool)
-    pushed[(starts[:, None] + np.arange(3)).ravel()] = True
+    starts = (100, 300, 500, 700)
     for shift, expected in ((0, 0), (40, n_found)):
         series = wave()
-        for sign, start in zip((1.0, -1.0, 1.0, -1.0), starts + shift, strict=True):
-            series[start : length and start + length] += 1.0 if length else sign
-        faults, (marked,) = screened([traced(series, pushed)])
+        for sign, start in zip((1.0, -1.0, 1.0, -1.0), starts, strict=True):
+            begin = start + shift
+            series[begin : length and begin + length] += 1.0 if length else sign
+        faults, (marked,) = screened([traced(series, starts)])
         assert sum(fault.rows.size for fault in faults) == expected
         assert not length or ("y" in marked.fast) is (shift == 0)
 
@@ -127,11 +127,10 @@ def test_what_follows_steps_of_the_inputs_is_an_answer(length: int | None, n_fou
 @pytest.mark.parametrize("late", [0, 40])
 def test_a_slow_sensor_sees_an_answer_in_its_next_samples(late: int) -> None:
     """It jumps by its second sample after a step of an input; long after, by itself."""
-    series, pushed = wave(), np.zeros(TIMES.size, dtype=bool)
-    pushed[301:304] = True
+    series = wave()
     series[308 + late :] += 1.0
     series[np.arange(TIMES.size) % 5 > 0] = np.nan
-    faults, _ = screened([traced(series, pushed)])
+    faults, _ = screened([traced(series, (301,))])
     assert [(fault.kind, fault.rows.tolist()) for fault in faults] == [("step", [350])] * (late > 0)
     assert late == 0 or faults[0].amount == pytest.approx(1.0, abs=0.05)
 

@@ -1205,17 +1205,10 @@ def unexplained(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> lis
     """
     result = []
     for trace, (index, relation) in product(map(_as_blocks_show, traces), enumerate(relations)):
-        halved = {n: trace.values[n].copy() for n in relation.signals if n in trace.values}
-        for name in halved.keys() - {relation.target}:
-            halved[name][1::2] = np.nan
-        slow = replace(trace, values={**trace.values, **halved})
-        twins = list(contrasts(slow, (relation,)))
-        for i, piece in enumerate(contrasts(trace, (relation,))):
+        for piece in contrasts(trace, (relation,)):
             weight, (left, moved) = piece.weight, piece.changes
             noise = piece.level**2 + piece.walk / (2.0 - 2.0 * np.cos(piece.angle))
-            expected = float(weight @ noise)
-            if i < len(twins) and twins[i].residual.size == piece.residual.size:
-                expected += float(weight @ (twins[i].residual - piece.residual) ** 2)
+            expected = float(weight @ (noise + np.sum(piece.sampled**2, axis=1)))
             if left > UNEXPLAINED**2 * moved and left > LOUDER * expected:
                 at = float(piece.times[int(np.argmax(np.abs(np.diff(piece.series))))])
                 result.append(Misfit(index, trace.name, math.sqrt(left / moved), at))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -46,12 +47,10 @@ class Trace:
         Signal to the standard deviation of its fast noise.
     step : float
         Median time step, s; found from the times if not given.
-    pushed : numpy.ndarray of bool
-        Shape ``(n_times,)``: samples right after a step of an input.
-    fast : frozenset of str
-        Signals that answer such a step faster than they are sampled.
     inputs : numpy.ndarray
-        Shape ``(n_times, n_inputs)``: commands, as logged.
+        Shape ``(n_times, n_inputs)``: commands, as logged; none if not given.
+    fast : frozenset of str
+        Signals that answer a step of an input faster than they are sampled.
     """
 
     name: str
@@ -60,17 +59,14 @@ class Trace:
     units: dict[str, str]
     noise: dict[str, float] = field(default_factory=dict)
     step: float = 0.0
-    pushed: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    fast: frozenset[str] = frozenset()
     inputs: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    fast: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         if not self.step:
             object.__setattr__(self, "step", float(np.median(np.diff(self.times))))
-        for name in ("pushed", "inputs"):
-            if not len(getattr(self, name)):
-                shape = self.times.shape if name == "pushed" else (self.times.size, 0)
-                object.__setattr__(self, name, np.zeros(shape, bool))
+        if not self.inputs.size:
+            object.__setattr__(self, "inputs", np.zeros((self.times.size, 0)))
 
     @classmethod
     def of(cls, record: Record, spare: Mapping[str, np.ndarray]) -> Trace:
@@ -81,12 +77,15 @@ class Trace:
         values |= {name: np.array(series) for name, series in spare.items()}
         units |= {name: STANDARD_UNITS[name] for name in spare}
         noise = {name: fast_noise(series) for name, series in values.items()}
-        pushed = np.zeros(record.times.size, dtype=bool)
-        for column in record.inputs.T:
+        return cls(record.name, record.times, values, units, noise, inputs=record.inputs)
+
+    @cached_property
+    def pushed(self) -> np.ndarray:
+        """Samples right after a step of an input, ``(n_times,)`` of bool."""
+        pushed = np.zeros(self.times.size, dtype=bool)
+        for column in self.inputs.T:
             pushed |= after_steps(column)
-        return cls(
-            record.name, record.times, values, units, noise, pushed=pushed, inputs=record.inputs
-        )
+        return pushed
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -114,8 +113,7 @@ class Trace:
     def during(self, rows: slice) -> Trace:
         """Return some consecutive samples of the trace."""
         values = {name: series[rows] for name, series in self.values.items()}
-        pushed, inputs = self.pushed[rows], self.inputs[rows]
-        return replace(self, times=self.times[rows], values=values, pushed=pushed, inputs=inputs)
+        return replace(self, times=self.times[rows], values=values, inputs=self.inputs[rows])
 
     def thinned(self, most: int) -> Trace:
         """Return means over groups of samples so that at most ``most`` are left."""
@@ -130,11 +128,8 @@ class Trace:
         }
         times = self.times[:n].reshape(-1, group).mean(axis=1)
         noise = {name: std / np.sqrt(group) for name, std in self.noise.items()}
-        pushed = np.any(self.pushed[:n].reshape(-1, group), axis=1)
-        inputs = self.inputs[group // 2 : n : group]
-        return replace(
-            self, times=times, values=values, noise=noise, step=0.0, pushed=pushed, inputs=inputs
-        )
+        inputs = self.inputs[group - 1 : n : group]
+        return replace(self, times=times, values=values, noise=noise, step=0.0, inputs=inputs)
 
     def filled(self, names: Iterable[str]) -> dict[str, np.ndarray]:
         """Series joined by cubic splines, ``(n_times,)``; those with two samples or more."""
