@@ -159,14 +159,14 @@ def input_findings(
     beyond = [*_beyond(dataset, model, ranges or {})]
     faults, measured = _repeated(dataset, model)
     repeated = [*screened_inputs(faults, measured)]
-    traces = _traces(dataset, model, fixes)
+    told = _traces(dataset, model, fixes)
     asked = [*product(model.inputs, ASKED)]
-    if isinstance(traces, str):
-        rows = [Judged(kind, one.name, "not tested", traces) for one, kind in asked]
-        return [*repeated, *beyond], rows, f"Signs and units of inputs: {traces}."
-    traces = [_without(trace, marked(faults, trace.name, REPEATED)) for trace in traces]
+    if isinstance(told, str):
+        rows = [Judged(kind, one.name, "not tested", told) for one, kind in asked]
+        return [*repeated, *beyond], rows, f"Signs and units of inputs: {told}."
     # A state that follows from others is smoothed over samples, and moves before what moves it.
-    derived = [one.name for k, one in enumerate(model.states) if k not in measured_columns(model)]
+    traces, derived = told
+    traces = [_without(trace, marked(faults, trace.name, REPEATED)) for trace in traces]
     unlogged, traces = _unlogged(traces, _nominal(model), model)
     question = _question(traces, model, timed=not derived)
     found, ended = diagnosed(traces, question)
@@ -183,7 +183,7 @@ def input_findings(
         [*repeated, *findings],
         [
             Judged(kind, one.name, "not tested", untimed)
-            if derived and kind == "delay"
+            if derived and kind in ("delay", "step")
             else judged_row(kind, one.name, one.unit, ended)
             for one, kind in asked
         ],
@@ -337,8 +337,13 @@ def _beyond(
         yield said("limit", name, dataset.names, words, size=largest, unit=channel.unit)
 
 
-def _traces(dataset: Dataset, model: Model, fixes: Sequence[Correction]) -> list[Trace] | str:
-    """States, inputs and parameters of records that have all of them, or why there are none."""
+def _traces(
+    dataset: Dataset, model: Model, fixes: Sequence[Correction]
+) -> tuple[list[Trace], list[str]] | str:
+    """States, inputs and parameters of records that have all of them, or why there are none.
+
+    With the names of states that no sensor shows in some record.
+    """
     if all(p.prior_std is None for p in model.free_parameters):
         return (
             "no parameter of the model has a declared prior (prior_mean, prior_std) to hold "
@@ -351,7 +356,13 @@ def _traces(dataset: Dataset, model: Model, fixes: Sequence[Correction]) -> list
         found = [one for record in mended for one in _trace(record, model)]
     except OedSysidError:
         return states
-    return found or states
+    shown = {
+        k
+        for k, column in measured_columns(model).items()
+        if all(np.isfinite(record.outputs[:, column]).any() for record in mended)
+    }
+    derived = [one.name for k, one in enumerate(model.states) if k not in shown]
+    return (found, derived) if found else states
 
 
 def _trace(record: Record, model: Model) -> Iterator[Trace]:
@@ -415,7 +426,7 @@ def smooth(name: str) -> str:
 def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question:
     """What is asked of inputs, with errors of the parameters and constant forces beside it.
 
-    Delays and lags where the states are ``timed``.
+    Delays, lags and jumps of a zero where the states are ``timed``.
     """
     equations = _nominal(model)
     length = max(end - start for start, end in (t.ends for t in traces))
@@ -428,12 +439,13 @@ def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question
         common.append(bias)
         lost = Candidate("lost", (name,), "1", 1.0, 0.5, rare=RARER)
         common.append(replace(lost, material=NEGLIGIBLE, rare=0.0))
+        local.append(lost)
         if timed:
             common.append(Candidate("delay", (name,), "s", late, traces[0].step))
             common.append(Candidate("lag", (name,), "s", late, traces[0].step, positive=True))
+            # A zero that jumps is rarer than a force that sets in: two equations tell them.
+            local.append(replace(bias, kind="step", rare=RARER))
         single += [replace(lost, record=t.name) for t in traces]
-        # A zero that jumps is rarer than a force that sets in: two equations tell them.
-        local += [lost, replace(bias, kind="step", rare=RARER)]
     for name in (one.target for one in equations):
         # A force that sets in is as large as those that move the vehicle.
         usual = max(float(np.nanstd(np.gradient(t.values[name], t.times))) for t in traces) + 1e-12
@@ -510,16 +522,19 @@ def scaled_inputs(fit: Fit) -> tuple[Finding, ...]:
     tuple of Finding
         Of kind ``scale``, no fault of the log: priors may be wrong by as much.
     """
-    traces = _traces(fit.dataset, fit.model, ())
-    if isinstance(traces, str) or not fit.status.ok:
+    told = _traces(fit.dataset, fit.model, ())
+    if isinstance(told, str) or not fit.status.ok:
         return ()
+    traces, _ = told
     # Where the records cannot tell a coefficient, they cannot tell what it is multiplied by.
     errors = dict(zip(fit.names, np.isfinite(fit.covariance).all(axis=1), strict=True))
-    told = [p for p in fit.model.free_parameters if p.prior_std and p.prior_mean and errors[p.name]]
+    clear = [
+        p for p in fit.model.free_parameters if p.prior_std and p.prior_mean and errors[p.name]
+    ]
     log = Log(fit.dataset.channels, (), fit.dataset.names)
     result = list[Finding]()
     for name in (one for one in fit.model.input_names if _moves(traces, one)):
-        own = [p for p in told if _acts_through(traces[0], fit.model, p.name, name)]
+        own = [p for p in clear if _acts_through(traces[0], fit.model, p.name, name)]
         if len(own) > 1:
             result += map(log.sized, _common_factor(fit, name, own).found())
     return tuple(result)
