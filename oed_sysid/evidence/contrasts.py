@@ -176,9 +176,9 @@ class Motion:
         model = next((r.model for r in self.known.values() if r.model is not None), None)
         if model is None:
             return {}
-        trace = self.trace
-        shown = self.raw | trace.filled({o.name for o in model.outputs} & {*trace.values})
-        return nominal_rates(model, trace.times, shown, trace.inputs)
+        trace, shown = self.trace, {o.name for o in model.outputs}
+        values = self.raw | trace.filled(shown & trace.values.keys() - self.raw.keys())
+        return nominal_rates(model, trace.times, values, trace.inputs)
 
     @cached_property
     def values(self) -> dict[str, np.ndarray]:
@@ -493,11 +493,9 @@ def contrasts(
         target, zero = trace.values[relation.target], np.zeros(trace.times.size)
         # Residual, left side, sampling, candidates, what begins anywhere: each a left side less an
         # integral.
-        jumps, *unsure = (
-            relation.sampled(trace.times, inner, motion.moving)
-            if relation.is_rate
-            else (zero, zero, zero)
-        )
+        moving = [slopes[n] * motion.moving[n] for n in slopes.keys() & motion.moving.keys()]
+        known = np.sum([np.zeros((2, zero.size)), *moving], axis=0)
+        jumps, *unsure = relation.sampled(trace.times, right, known) * relation.is_rate
         pairs = [(target - jumps, right), *((one, zero) for one in (target, *unsure))]
         for shape in shapes.values():
             own = {n: shape[n] for n in slopes.keys() & shape.keys()}
@@ -534,10 +532,10 @@ def _begun_anywhere(
 
 
 def _slopes(relation: Relation, motion: Motion, touched: set[str]) -> dict[str, np.ndarray]:
-    """Derivatives of a right side by the signals that a fault touches, or that have noise."""
+    """Derivatives of a right side by signals that a fault touches, that have noise or move."""
     inner, trace = {n: motion.raw[n] for n in relation.signals}, motion.trace
     asked = touched & {*(relation.asked or inner)}
-    names = (n for n in inner if n in asked or trace.noise[n] > 0.0)
+    names = (n for n in inner if n in asked or trace.noise[n] > 0.0 or n in motion.moving)
     return {n: relation.slope(inner, trace.times, n) for n in names}
 
 

@@ -94,9 +94,7 @@ class Nominal(Relation):
         steps = np.diff(times)[:, None] * columns[:-1]
         return np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(steps, axis=0)])
 
-    def sampled(
-        self, times: np.ndarray, values: Mapping[str, np.ndarray], moving: Mapping[str, np.ndarray]
-    ) -> np.ndarray:
+    def sampled(self, times: np.ndarray, rates: np.ndarray, known: np.ndarray) -> np.ndarray:
         """Nothing: rates are means over the steps, ``(3, n_times)``."""
         return np.zeros((3, times.size))
 

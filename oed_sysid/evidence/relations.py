@@ -107,18 +107,16 @@ class Relation:
         """Cumulative integral of rates of :meth:`__call__`, ``(n_times, k)``; first row zero."""
         return integral(times, columns)
 
-    def sampled(
-        self, times: np.ndarray, values: Mapping[str, np.ndarray], moving: Mapping[str, np.ndarray]
-    ) -> np.ndarray:
+    def sampled(self, times: np.ndarray, rates: np.ndarray, known: np.ndarray) -> np.ndarray:
         r"""What motion between samples may change of the integral, ``(3, n_times)``.
 
         Parameters
         ----------
-        times : numpy.ndarray
-        values : mapping of str to numpy.ndarray
-            Signals, as of a call.
-        moving : mapping of str to numpy.ndarray
-            Of signals their rates by the nominal model, as of :func:`nominal_rates`.
+        times, rates : numpy.ndarray
+            Shape ``(n_times,)``; rates of :meth:`__call__`.
+        known : numpy.ndarray
+            Shape ``(2, n_times)``: slopes of the rates by the nominal model, before and after each
+            sample.
 
         Returns
         -------
@@ -127,15 +125,9 @@ class Relation:
             the range that :math:`\gamma` leaves, :math:`B(d, d)`; and what the model may lack of
             :math:`B(g^-, g^+)`.
         """
-        slopes = np.array(
-            [
-                self.along(values, times, {n: moving[n][side] for n in self.signals if n in moving})
-                for side in (0, 1)
-            ]
-        )
-        known = slopes.mean(axis=0)
-        left = np.gradient(self(values, times), times) - known
-        sides = np.array([slopes - known, [left, left], LEAST_PRIOR * slopes])
+        mean = known.mean(axis=0)
+        left = np.gradient(rates, times) - mean
+        sides = np.array([known - mean, [left, left], LEAST_PRIOR * known])
         bent = -(np.diff(times) ** 2) / 12.0 * (sides[:, 0, 1:] - sides[:, 1, :-1])
         return np.pad(np.cumsum(bent, axis=1), ((0, 0), (1, 0)))
 
