@@ -757,7 +757,7 @@ def test_an_input_that_never_repeats_a_value_is_judged() -> None:
 def test_a_unit_is_not_undone_by_a_coefficient_of_nothing() -> None:
     """Rudder angles times 57.3 with a gain of a fifty-seventh are no explanation; a sign may be."""
     model = believed_yaw()
-    traces = inputs._traces(yaw_data(), model, ())
+    traces, _ = inputs._traces(yaw_data(), model, ())
     evidence = Evidence(inputs._question(traces, model, timed=True), traces)
     assert evidence.gained([Correction("unit", ("delta",), np.degrees(1.0))]) == -np.inf
     assert evidence.gained([Correction("unit", ("delta",), 1.2)]) == pytest.approx(0.0, abs=3.0)
@@ -779,11 +779,11 @@ def test_fast_motion_is_not_smaller_for_the_nominal_model() -> None:
     record = Record(
         "run", t, np.zeros((600, 1)), motion + 0.02 * rng.standard_normal((600, 2)), model.channels
     )
-    (trace,) = inputs._traces(Dataset((record,)), model, ())
+    (trace,), _ = inputs._traces(Dataset((record,)), model, ())
     taken, true = trace.values[inputs.smooth("r")], motion[:, 1]
     assert taken @ true / (taken @ taken) == pytest.approx(1.0, abs=0.05)
     slow = replace(record, outputs=record.outputs - motion)
-    (trace,) = inputs._traces(Dataset((slow,)), model, ())
+    (trace,), _ = inputs._traces(Dataset((slow,)), model, ())
     assert np.std(trace.values[inputs.smooth("r")]) == pytest.approx(0.01, rel=0.1)
 
 
@@ -869,7 +869,7 @@ def test_a_declared_delay_is_known() -> None:
     ahead = [np.vstack([r.inputs[2:], r.inputs[[-1] * 2]]) for r in late]
     commanded = Dataset(tuple(replace(r, inputs=u) for r, u in zip(late, ahead, strict=True)))
     assert check(commanded, model).findings == ()
-    (trace,) = inputs._traces(Dataset((commanded[0],)), model, ())
+    (trace,), _ = inputs._traces(Dataset((commanded[0],)), model, ())
     (nominal,) = inputs._nominal(model)
     values = {name: trace.values[name] for name in nominal.signals}
     pulse = np.eye(trace.times.size)[10]
@@ -882,7 +882,7 @@ def test_a_declared_delay_is_known() -> None:
 def test_noise_of_the_states_is_the_least_walk_of_a_nominal_equation() -> None:
     """Noise of the yaw rate in its own damping, summed over the samples of each block."""
     model = believed_yaw()
-    (trace, *_) = inputs._traces(yaw_data(), model, ())
+    (trace, *_), _ = inputs._traces(yaw_data(), model, ())
     (piece,) = contrasts(trace, inputs._nominal(model))
     slope = (1.0 + 3.0 * TRUE["alpha"] * trace.values["r"] ** 2) / TRUE["T"]
     level = np.sqrt(np.mean(slope**2)) * trace.noise["r"]

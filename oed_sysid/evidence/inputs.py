@@ -164,7 +164,7 @@ def input_findings(
         return [*repeated, *beyond], rows, f"Signs and units of inputs: {told}."
     # A state that follows from others is smoothed over samples, and moves before what moves it.
     traces, derived = told
-    traces = [_without(trace, marked(faults, trace.name, REPEATED)) for trace in traces]
+    traces = [trace.blank(marked(faults, trace.name, REPEATED)) for trace in traces]
     unlogged, traces = _unlogged(traces, _nominal(model), model)
     question = _question(traces, model, timed=not derived)
     found, ended = diagnosed(traces, question)
@@ -210,15 +210,6 @@ def _repeated(dataset: Dataset, model: Model) -> tuple[list[Fault], list[Trace]]
     shared = len(dataset) * len(levels)
     faults = [fault for trace in measured for fault in screen(trace, shared)]
     return [fault for fault in faults if fault.kind in REPEATED], measured
-
-
-def _without(trace: Trace, rows: Mapping[str, np.ndarray]) -> Trace:
-    """The trace without some samples of inputs; ``rows`` by signal, perhaps beyond its end."""
-    values = dict(trace.values)
-    for name, chosen in rows.items():
-        values[name] = values[name].copy()
-        values[name][chosen[chosen < trace.times.size]] = np.nan
-    return replace(trace, values=values)
 
 
 def _unread(unlogged: Sequence[Finding], readings: Sequence[Found]) -> list[Finding]:
@@ -276,7 +267,7 @@ def _unlogged(
         findings.append(said(kind, (name,), records, words, row=f"input {kind}"))
         if kind == "frozen":
             inside = {name: np.arange(rows.start, rows.stop)}
-            left[records[0]] = _without(left[records[0]], inside)
+            left[records[0]] = left[records[0]].blank(inside)
     return findings, [*left.values()]
 
 

@@ -212,16 +212,12 @@ def nominal_rates(
     names, zero = [shown.get(state, "") for state in model.state_names], np.zeros(times.size)
     own = np.array([values.get(name, zero) for name in names])
     earlier = np.where(graph.linear_inputs, inputs, np.concatenate([inputs[:1], inputs[:-1]]))
-    # Both sides of a sample differ only where a command that is held changes.
-    apart = np.flatnonzero(np.any(earlier != inputs, axis=1))
-    rows = np.append(np.arange(times.size), apart)
-    commands = np.concatenate([inputs, earlier[apart]]).T
-    found = graph.settled_rates(own[:, rows], commands, model.value_vector, times[None, rows])
-    after, changed = np.split(np.array(found), [times.size], axis=1)
-    before = after.copy()
-    before[:, apart] = changed
+    sides = [
+        np.array(graph.settled_rates(own, commands.T, model.value_vector, times[None]))
+        for commands in (earlier, inputs)
+    ]
     # Where it diverges it says nothing, in numbers that can still be squared.
-    both = np.nan_to_num([before, after], posinf=0.0, neginf=0.0).clip(-1e9, 1e9)
+    both = np.nan_to_num(sides, posinf=0.0, neginf=0.0).clip(-1e9, 1e9)
     return {name: both[:, k] for k, name in enumerate(names) if name}
 
 

@@ -101,13 +101,16 @@ class Trace:
         return answers
 
     def blank(self, rows: Mapping[str, np.ndarray]) -> Trace:
-        """Return the trace and its noise without some samples; ``rows`` by signal."""
+        """Return the trace and its noise without some samples; ``rows`` by signal.
+
+        What has no noise, as inputs of a model, has none then; rows may be beyond the end.
+        """
         values, noise = dict(self.values), dict(self.noise)
         for name, chosen in rows.items():
             if len(chosen):
                 values[name] = values[name].copy()
-                values[name][chosen] = np.nan
-                noise[name] = fast_noise(values[name])
+                values[name][chosen[chosen < self.times.size]] = np.nan
+                noise[name] = noise[name] and fast_noise(values[name])
         return replace(self, values=values, noise=noise)
 
     def during(self, rows: slice) -> Trace:
