@@ -400,6 +400,29 @@ def test_where_nothing_is_missing_no_estimate_depends_on_the_step() -> None:
         assert abs(found.fit.values[name] - plain.values[name]) < 0.3 * error
 
 
+def test_spikes_are_left_out_of_a_search_as_of_a_fit() -> None:
+    """Five of fifteen standard deviations in each record change no more than gaps there do."""
+    rows = [40, 95, 150, 203, 260]
+    spoilt, lost = list[Dataset](), list[Dataset]()
+    for (record,) in (pushed(2), pushed(3)):
+        spikes, gaps = (record.outputs.copy() for _ in range(2))
+        spikes[rows, 0] += 0.015
+        gaps[rows, 0] = np.nan
+        spoilt.append(Dataset((record.with_outputs(spikes),)))
+        lost.append(Dataset((record.with_outputs(gaps),)))
+    found, right = (
+        improve(STEADY, *records, candidates=[actuator_lag("lag", "push")], terms=False)
+        for records in (spoilt, lost)
+    )
+    assert found.fit.excluded == {"phi": (5, 300)}
+    assert "Left out of the training records as spikes: 5 of 300 samples of phi." in found.notes
+    assert not right.fit.excluded
+    assert found.remains.kind == right.remains.kind == "adequate"
+    for name, error in right.fit.std_errors.items():
+        assert found.fit.values[name] == pytest.approx(right.fit.values[name], abs=0.01 * error)
+        assert found.fit.std_errors[name] == pytest.approx(error, rel=0.01)
+
+
 def test_no_estimate_is_coarser_than_the_filter_of_its_study() -> None:
     """A filter made for a finer step holds the registers of a delay that go with it."""
     late = actuator_delay("late", "delta", max_delay=2.0, step=0.5, scale=0.5)

@@ -143,7 +143,7 @@ def improve(
     begin = partial(Study.begin, model, train, test, candidates, known_noise=known_noise)
     tell("fitting the nominal model")
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
-    notes = [*ready.notes, *left_out, *told, *_not_asked(candidates, study)]
+    notes = [*ready.notes, *left_out, *told, *_spikes(study), *_not_asked(candidates, study)]
     read_wrong = _read_wrong(study, base)
     notes += read_wrong
     # What is found in records whose input is read wrong replaces that input.
@@ -172,6 +172,12 @@ def _measured(
     if given:
         test, words = given[0], tuple(dict.fromkeys((*words, *given[1])))
     return (prepared(train, test), words) if words else (ready, ())
+
+
+def _spikes(study: Study) -> list[str]:
+    """A note on training samples that stand out alone."""
+    rows = [f"{count} of {n} samples of {name}" for name, (count, n) in study.excluded.items()]
+    return [f"Left out of the training records as spikes: {', '.join(rows)}."] if rows else []
 
 
 def _not_asked(candidates: Sequence[Effect], study: Study) -> list[str]:

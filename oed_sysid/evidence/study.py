@@ -107,6 +107,8 @@ class Study:
         but the sensors.
     estimated : ndarray of bool (n_outputs,)
         Outputs whose noise nobody declared.
+    excluded : mapping of str to pair of int
+        Samples of the training records that were left out as spikes, of how many, by output.
     """
 
     base: Model
@@ -118,6 +120,7 @@ class Study:
     narrow: FilterKernel
     kernel: FilterKernel
     estimated: np.ndarray
+    excluded: Mapping[str, tuple[int, int]]
 
     @classmethod
     def begin(
@@ -136,6 +139,7 @@ class Study:
         ----------
         model : Model
         train, validation : Dataset
+            Samples that stand out alone of the motion are left out, as a fit leaves them out.
         candidates : sequence of Effect
         known_noise : bool
             Whether declared levels are right and sensors have no other noise.
@@ -143,10 +147,12 @@ class Study:
             Where disturbance forces may act: ``"auto"`` or ``"all"`` of the equations, ``"none"``
             of them, or those that are named.
         """
-        levels = _declared(model, known=known_noise)
+        levels, white = _declared(model, known=known_noise), _white_fit((model,), train)
+        train = white.dataset
+        validation = validation and _white_fit((white.model,), validation).dataset
         floor, _ = credible_levels(train)
-        white = np.where(np.isfinite(levels), levels, floor)
-        free = np.full(len(white), not known_noise)
+        sigma = np.where(np.isfinite(levels), levels, floor)
+        free = np.full(len(sigma), not known_noise)
         tests = train.only_tests
         if tests:  # no disturbance links one with the next
             disturbances = "none"
@@ -158,7 +164,7 @@ class Study:
             model,
             train,
             places,
-            white,
+            sigma,
             free,
             colour=not known_noise and not tests,
             logged=inputs,
@@ -170,7 +176,7 @@ class Study:
         # Two in three passes are of the nominal model, at a third to two thirds of the price.
         narrow, kernel = (_kernel(model, one, setting) for one in ((), effects))
         setting = replace(setting, kernel=narrow)
-        starts, test = _from_white_noise(setting)
+        starts, test = _from_white_noise(setting, white)
         study = cls(
             base=model,
             candidates=effects,
@@ -181,6 +187,7 @@ class Study:
             narrow=narrow,
             kernel=kernel,
             estimated=~np.isfinite(levels),
+            excluded=white.excluded,
         )
         best = fit_disturbed(setting, starts, test, polish=0)
         if best.finite is None:
@@ -328,7 +335,7 @@ class Study:
         if at_sea:
             setting = replace(setting, any_sea=True, estimated=self.estimated)
         try:
-            starts, test = _from_white_noise(setting, more)
+            starts, test = _from_white_noise(setting, _white_fit((first, *more), self.train))
         except SimulationError:
             return None
         end = fit_disturbed(setting, starts, test, polish=0).finite
@@ -368,8 +375,8 @@ class Study:
         """The fit of a model that was found and polished."""
         how = Procedure(label, self.estimated, found.iterations, perf_counter())
         fit = summarise_filtered(found, how)
-        finer = fit.model.step < self.base.step
-        return replace(fit, seconds=0.0, integration=Integration(self.base.step) if finer else None)
+        finer = Integration(self.base.step) if fit.model.step < self.base.step else None
+        return replace(fit, seconds=0.0, integration=finer, excluded=self.excluded)
 
     # -- validation ------------------------------------------------------------------
 
@@ -570,18 +577,15 @@ def fitting_candidates(base: Model, candidates: Sequence[Effect]) -> tuple[Effec
     return tuple(kept)
 
 
-def _from_white_noise(
-    setting: Setting, more: Sequence[Model] = ()
-) -> tuple[list[Start], ScoreTest]:
-    """Where a model's estimation begins, and levels to begin with.
+def _white_fit(models: Sequence[Model], records: Dataset) -> Fit:
+    """The likeliest fit to white noise: where an estimation begins, and records without spikes."""
+    return min((PLAIN.begun(one, records) for one in models), key=lambda one: one.cost)
 
-    It begins at its fit to white noise, the best from its own values and from those of the same
-    model in ``more``.
-    """
-    model, train = setting.model, setting.dataset
-    shooting = Shooting(model, train, setting.white)
+
+def _from_white_noise(setting: Setting, fit: Fit) -> tuple[list[Start], ScoreTest]:
+    """Where a model's estimation begins, and levels to begin with, of its fit to white noise."""
+    shooting = Shooting(setting.model, setting.dataset, setting.white)
     starts = [Start.at(shooting, shooting.start_unknowns())]
-    fit = min((PLAIN.begun(one, train) for one in (model, *more)), key=lambda one: one.cost)
     if np.isfinite(fit.cost):
         starts.append(Start(fit.model.values, fit.initial_states, fit.local_values))
     test = _best_test(setting, starts)
