@@ -474,7 +474,7 @@ def test_a_rate_that_is_sampled_too_seldom_is_not_asked(every: int) -> None:
     model, data = rolling_fast(every)
     found = check(data, model)
     assert not found.findings
-    assert "Whether phi' = p: phi moves between samples of the others." in found.unchecked
+    assert "Whether phi' = p: too few samples, phi moves between them." in found.unchecked
 
 
 def test_a_rate_that_is_sampled_seldom_enough_is_asked() -> None:

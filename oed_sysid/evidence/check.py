@@ -31,6 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from time import perf_counter
 
@@ -135,7 +136,7 @@ def check(
     equations = _equations(dataset, model, traces)
     faults, traces = screened(traces)
     told, clean = _told_of(equations, faults), _clean(traces, faults)
-    equations = tuple(one for one in told if _is_resolved(one, clean))
+    equations = tuple(filter(partial(_is_resolved, clean), told))
     related, balances, ended = list[Finding](), tuple[Balance, ...](), None
     if equations:
         faults, related, balances, ended = _related(dataset, model, clean, equations, faults)
@@ -147,10 +148,7 @@ def check(
         *words.jitter_finding(late, dataset),
     ]
     names = dataset.channels.output_names
-    asked, unchecked = _asked(names, traces, equations, ended), _shared(told, traces)
-    unresolved = (r for r in told if r not in equations)
-    said = "Whether {0}: {0.target} moves between samples of the others."
-    unchecked += tuple(map(said.format, unresolved))
+    asked, unchecked = _asked(names, traces, equations, ended), _shared(told, clean)
     asked += words.jitter_rows(late, names)
     if inputs and model is not None:
         known = [f.correction for f in findings if f.correction is not None]
@@ -190,7 +188,7 @@ def _told_of(equations: tuple[Relation, ...], faults: Sequence[Fault]) -> tuple[
     return tuple(r for r in equations if mute.isdisjoint(r.names))
 
 
-def _is_resolved(relation: Relation, traces: Sequence[Trace]) -> bool:
+def _is_resolved(traces: Sequence[Trace], relation: Relation) -> bool:
     """Whether a right side is measured often enough to tell of its left side.
 
     Where the left side is measured in between, curves through the other samples must return it: of
@@ -509,6 +507,7 @@ def _shared(equations: tuple[Relation, ...], traces: Sequence[Trace]) -> tuple[s
     targets = ", ".join(r.target for r in equations if r.is_rate)
     positions = contrasts.positions_of(equations, units)
     velocities = ", ".join(contrasts.velocities_of(equations, units))
+    fast = [r for r in equations if not _is_resolved(traces, r)]
     told = [
         (alone, f"No equation without unknown parameters relates {alone}."),
         (equations, f"Constant offsets of {targets}, and a delay common to all signals."),
@@ -517,6 +516,7 @@ def _shared(equations: tuple[Relation, ...], traces: Sequence[Trace]) -> tuple[s
         (positions, "A bias of an attitude angle against a misalignment of the velocities."),
         (positions, "At a single speed: a bias of a velocity against its scale."),
         (len(positions) > 1, "On straight runs: a current against a bias of the velocities."),
+        *((True, f"Whether {r}: too few samples, {r.target} moves between them.") for r in fast),
     ]
     return tuple(text for holds, text in told if holds)
 
