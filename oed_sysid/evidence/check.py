@@ -32,7 +32,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import product
+from itertools import filterfalse, product
 from time import perf_counter
 
 import numpy as np
@@ -507,7 +507,7 @@ def _shared(equations: tuple[Relation, ...], traces: Sequence[Trace]) -> tuple[s
     targets = ", ".join(r.target for r in equations if r.is_rate)
     positions = contrasts.positions_of(equations, units)
     velocities = ", ".join(contrasts.velocities_of(equations, units))
-    fast = [r for r in equations if not _is_resolved(traces, r)]
+    fast = filterfalse(partial(_is_resolved, traces), equations)
     told = [
         (alone, f"No equation without unknown parameters relates {alone}."),
         (equations, f"Constant offsets of {targets}, and a delay common to all signals."),

@@ -345,13 +345,17 @@ def _traces(
         found = [one for record in mended for one in _trace(record, model)]
     except OedSysidError:
         return states
+    return (found, _derived(mended, model)) if found else states
+
+
+def _derived(dataset: Dataset, model: Model) -> list[str]:
+    """States that no sensor shows in some record: they are smoothed from others."""
     shown = {
         k
         for k, column in measured_columns(model).items()
-        if all(np.isfinite(record.outputs[:, column]).any() for record in mended)
+        if all(np.isfinite(record.outputs[:, column]).any() for record in dataset)
     }
-    derived = [one.name for k, one in enumerate(model.states) if k not in shown]
-    return (found, derived) if found else states
+    return [one.name for k, one in enumerate(model.states) if k not in shown]
 
 
 def _trace(record: Record, model: Model) -> Iterator[Trace]:
