@@ -445,8 +445,9 @@ def _refitted(
     if not chosen:
         return []
     scores = [one.of_effect(fit.problem.model, signals.units) for one in chosen]
-    # One structure with all of them: compiled once.
-    wide = study.with_candidates([score.effect for score in scores])
+    # One structure with all of them and none of the other candidates: compiled once.
+    held = replace(study, candidates=study.effects_of(fit))
+    wide = held.with_candidates([score.effect for score in scores])
     given = {score.effect.name: one for score, one in zip(scores, chosen, strict=True)}
     refits = refitted(wide, fit, [((score,), needed) for score in scores], near)
     found = (Proposal(given[one.name].term, one, given[one.name].alike) for one in refits)

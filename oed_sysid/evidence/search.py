@@ -684,7 +684,7 @@ def _beside(state: Standing, proposals: Proposals, max_effects: int) -> Standing
     if proposals.best is None:
         return None
     effect, study, start = proposals.best.effect, state.study, state.fit
-    wide = study.with_candidates([effect], proposals.best.refit.fit.problem.kernel)
+    wide = study.with_candidates([effect])
     found = wide.estimate(
         [*state.effects, effect],
         proposals.best.refit.fit.values,

@@ -201,13 +201,10 @@ class Study:
         narrow, kernel = (study.kernel_by(step, narrow=one) for one in (True, False))
         return replace(study, narrow=narrow, kernel=kernel), best
 
-    def with_candidates(
-        self, effects: Sequence[Effect], kernel: FilterKernel | None = None
-    ) -> Study:
-        """The same study with more candidates, compiled anew unless a kernel holds them."""
+    def with_candidates(self, effects: Sequence[Effect]) -> Study:
+        """The same study with more candidates, compiled anew."""
         joined = fitting_candidates(self.base, (*self.candidates, *effects))
-        kernel = kernel or _kernel(self.base, joined, self.setting)
-        return replace(self, candidates=joined, kernel=kernel)
+        return replace(self, candidates=joined, kernel=_kernel(self.base, joined, self.setting))
 
     @cached_property
     def smoothed(self) -> Study | None:
