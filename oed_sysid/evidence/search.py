@@ -175,9 +175,48 @@ class Search:
         return Ended(state, first, last, self._left(state))
 
     def beyond(self, end: Ended) -> Ended:
-        """Look for what no candidate is, where more than noise is left: usual physics, a term."""
-        if end.left.structured and self._unexplained(end) and not end.state.study.train.only_tests:
-            end = self.usual(end)
+        """Look for what no candidate is, where more than noise is left: usual physics, a term.
+
+        Physics with a name leads a term. Where no usual effect explains as much as the best term
+        does, the term is asked first: a search among all of them would end with it, too.
+        """
+        usual = self._usual(end)
+        if usual is not None and not self.stage("what leads", partial(usual_leads, usual)):
+            with_it = self._term(end)
+            if with_it.proposals is not None and not with_it.left.structured:
+                return with_it
+        return self._term(end if usual is None else self._among(usual, end))
+
+    def _usual(self, end: Ended) -> Standing | None:
+        """The same state among the usual effects that nobody named, too; None without any."""
+        study = end.state.study
+        if not (self._unexplained(end) and end.left.structured) or study.train.only_tests:
+            return None
+        known = {effect.name for effect in (*study.candidates, *study.base.effects)}
+        named = usual_effects(study.base, study.train)
+        more = [e for e in named if e.source != POLYNOMIAL and e.name not in known]
+        if not more:
+            return None
+        self.tell("looking among usual effects that were not named")
+        joined = self.stage("usual effects", partial(study.with_candidates, more))
+        return None if joined is None else replace(end.state, study=joined)
+
+    def _among(self, begun: Standing, end: Ended) -> Ended:
+        """Go on among more candidates."""
+        named = {effect.name for effect in end.state.study.candidates}
+        state, _, last = self.ended(begun)
+        found = sorted(state.names - named)
+        if not found:
+            return end
+        more = len(begun.study.candidates) - len(named)
+        self.notes.append(
+            "No candidate that was named explains what is left. Found among the "
+            f"{more} usual effects that were not named: {', '.join(found)}."
+        )
+        return replace(end, state=state, last=last or end.last, left=self._left(state))
+
+    def _term(self, end: Ended) -> Ended:
+        """Look for a term, where more than noise is left."""
         if not self._unexplained(end):
             return end
         self.tell("looking for a term that no known effect holds")
@@ -190,28 +229,6 @@ class Search:
             wider = self.stage("a sea beside the term", partial(with_waves, wider, None)) or wider
         left = end.left if proposals is None else self._left(wider)
         return replace(end, state=wider, left=replace(left, tied=tied), proposals=proposals)
-
-    def usual(self, end: Ended) -> Ended:
-        """Go on among the usual effects that nobody named: physics with a name leads a term."""
-        study = end.state.study
-        known = {effect.name for effect in (*study.candidates, *study.base.effects)}
-        named = usual_effects(study.base, study.train)
-        more = [e for e in named if e.source != POLYNOMIAL and e.name not in known]
-        if not more:
-            return end
-        self.tell("looking among usual effects that were not named")
-        joined = self.stage("usual effects", partial(study.with_candidates, more))
-        if joined is None:
-            return end
-        state, _, last = self.ended(replace(end.state, study=joined))
-        found = sorted(state.names - known)
-        if not found:
-            return end
-        self.notes.append(
-            "No candidate that was named explains what is left. Found among the "
-            f"{len(more)} usual effects that were not named: {', '.join(found)}."
-        )
-        return replace(end, state=state, last=last or end.last, left=self._left(state))
 
     def _unexplained(self, end: Ended) -> bool:
         """Whether what is left is more than noise, and may be asked for."""
@@ -327,6 +344,14 @@ class Search:
             asking = eliminated if state.provisional else asked_again
             state = once("asked again", partial(asking, state))
             yield state, ranking
+
+
+def usual_leads(state: Standing) -> bool:
+    """Whether a candidate explains as much as the best term, by odds that tell them apart."""
+    refits = rank(state.study, state.fit, state.left).refits
+    term = propose(state.study, state.fit).best
+    named = refits[0].evidence if refits else -np.inf
+    return term is None or bool(named > term.refit.evidence - TOLD_APART)
 
 
 def with_alike(state: Standing, ranking: Ranking) -> Standing:
