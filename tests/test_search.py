@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from oed_sysid import (
     improve,
 )
 from oed_sysid.evidence.claim import Claim
+from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.rank import Ranking, Refit, rank
 from oed_sysid.evidence.remainder import Remains
 from oed_sysid.evidence.search import (
@@ -309,35 +311,52 @@ def test_rounding_of_what_is_known_makes_no_prediction(
     assert found.misfit == pytest.approx(honest, abs=10.0)
 
 
-def test_usual_physics_is_asked_before_a_polynomial() -> None:
-    """Dry friction of a carriage, of which only a quadratic drag was named as a candidate."""
-    carriage = small(
-        "carriage",
-        "v [m/s] <- pull [N]",
-        {"v": "(pull - drag*v)/10"},
-        {"drag [N*s/m]": 2.5},
-        {"v": 0.01},
-        step=0.05,
-    )
+CARRIAGE = small(
+    "carriage",
+    "v [m/s] <- pull [N]",
+    {"v": "(pull - drag*v)/10"},
+    {"drag [N*s/m]": 2.5},
+    {"v": 0.01},
+    step=0.05,
+)
 
-    def run(seed: int) -> Record:
-        """Ten kilograms, 2 N s/m, 1.5 N of friction that sets in within 0.02 m/s; pull held."""
-        rng, n, inner = np.random.default_rng(seed), 300, 50
-        pull = np.repeat(rng.uniform(-8.0, 8.0, n // 10), 10)
-        v, seen = 0.0, np.zeros(n)
-        for i, force in enumerate(pull):
-            seen[i] = v
-            for _ in range(inner):
-                v += 0.1 / inner * (force - 2.0 * v - 1.5 * np.tanh(v / 0.02)) / 10.0
-        noisy = seen + 0.01 * rng.standard_normal(n)
-        times = 0.1 * np.arange(n)
-        return Record(f"pull {seed}", times, pull[:, None], noisy[:, None], carriage.channels)
 
+def pulled(seed: int, resistance: Callable[[float], float]) -> Record:
+    """Ten kilograms, 2 N s/m and a resistance, N, of the speed; the pull held."""
+    rng, n, inner = np.random.default_rng(seed), 300, 50
+    pull = np.repeat(rng.uniform(-8.0, 8.0, n // 10), 10)
+    v, seen = 0.0, np.zeros(n)
+    for i, force in enumerate(pull):
+        seen[i] = v
+        for _ in range(inner):
+            v += 0.1 / inner * (force - 2.0 * v - resistance(v)) / 10.0
+    noisy = seen + 0.01 * rng.standard_normal(n)
+    times = 0.1 * np.arange(n)
+    return Record(f"pull {seed}", times, pull[:, None], noisy[:, None], CARRIAGE.channels)
+
+
+def improved_carriage(resistance: Callable[[float], float]) -> Improvement:
+    """The carriage improved, of which only a quadratic drag was named as a candidate."""
+    first, second, last = (pulled(seed, resistance) for seed in (1, 2, 3))
     drag = Force("square", {"v": "-square*abs(v)*v/10"}, [Parameter("square", 0.0, "kg/m")])
-    found = improve(carriage, Dataset((run(1), run(2))), Dataset((run(3),)), candidates=[drag])
+    return improve(CARRIAGE, Dataset((first, second)), Dataset((last,)), candidates=[drag])
+
+
+def test_usual_physics_is_asked_before_a_polynomial() -> None:
+    """Dry friction of 1.5 N that sets in within 0.02 m/s."""
+    found = improved_carriage(lambda v: 1.5 * np.tanh(v / 0.02))
     assert [step.added for step in found.steps] == ["friction_v"]
     assert found.remains.kind == "adequate"
     assert 10.0 * found.fit.values["E_friction_v"] == pytest.approx(1.5, rel=0.05)
+
+
+def test_a_polynomial_that_explains_more_is_asked_before_usual_physics() -> None:
+    """A cube of the speed: no usual effect is claimed on the way to it, or asked at all."""
+    found = improved_carriage(lambda v: 8.0 * v**3)
+    assert [step.added for step in found.steps] == ["term_v_vvv"]
+    assert found.remains.kind == "adequate"
+    assert -10.0 * found.fit.values["v_vvv"] == pytest.approx(8.0, rel=0.05)
+    assert "friction_v" not in {one.name for one in found.decisions}
 
 
 def test_a_place_to_begin_waits_for_its_integration_step(

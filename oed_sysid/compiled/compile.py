@@ -275,7 +275,7 @@ def source(graph: Graph) -> str:
         sizes[f"W_{label}"] = max(map(ca.Function.sz_w, pair))
         sizes[f"IW_{label}"] = max(map(ca.Function.sz_iw, pair))
     begin = start.sparsity_out(1)
-    sizes |= {"NNZ_START": begin.nnz(), "START_PLACES": _places(begin) if begin.nnz() else "{0}"}
+    sizes |= {"NNZ_START": begin.nnz(), "START_PLACES": _places(begin)}
     updates = (
         _updates(actuate, "DDA DDP DAA DAP", sizes)
         | _updates(rates, "JXX JXD JXP", sizes)
@@ -323,4 +323,4 @@ def _start(graph: Graph) -> ca.Function:
 def _places(sparsity: ca.Sparsity) -> str:
     """Where the entries of a sparse matrix stand in a dense one, column by column."""
     rows, columns = (np.array(part, dtype=int) for part in sparsity.get_triplet())
-    return _braces(map(str, columns * sparsity.size1() + rows))
+    return _braces(map(str, (columns * sparsity.size1() + rows).tolist() or [0]))

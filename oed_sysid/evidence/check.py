@@ -31,8 +31,8 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from itertools import filterfalse, product
+from itertools import compress, product
+from operator import not_
 from time import perf_counter
 
 import numpy as np
@@ -136,7 +136,7 @@ def check(
     equations = _equations(dataset, model, traces)
     faults, traces = screened(traces)
     told, clean = _told_of(equations, faults), _clean(traces, faults)
-    equations = tuple(filter(partial(_is_resolved, clean), told))
+    equations, fast = _parted(told, clean)
     related, balances, ended = list[Finding](), tuple[Balance, ...](), None
     if equations:
         faults, related, balances, ended = _related(dataset, model, clean, equations, faults)
@@ -148,7 +148,7 @@ def check(
         *words.jitter_finding(late, dataset),
     ]
     names = dataset.channels.output_names
-    asked, unchecked = _asked(names, traces, equations, ended), _shared(told, clean)
+    asked, unchecked = _asked(names, traces, equations, ended), _shared(told, clean, fast)
     asked += words.jitter_rows(late, names)
     if inputs and model is not None:
         known = [f.correction for f in findings if f.correction is not None]
@@ -186,6 +186,14 @@ def _told_of(equations: tuple[Relation, ...], faults: Sequence[Fault]) -> tuple[
     """Equations without a signal that says nothing."""
     mute = set().union(*(one.names for one in faults if one.kind in ("dead", "copied")))
     return tuple(r for r in equations if mute.isdisjoint(r.names))
+
+
+def _parted(
+    equations: tuple[Relation, ...], traces: Sequence[Trace]
+) -> tuple[tuple[Relation, ...], tuple[Relation, ...]]:
+    """Equations whose right sides are measured often enough, and the others."""
+    known = [_is_resolved(traces, one) for one in equations]
+    return tuple(compress(equations, known)), tuple(compress(equations, map(not_, known)))
 
 
 def _is_resolved(traces: Sequence[Trace], relation: Relation) -> bool:
@@ -500,14 +508,15 @@ def _asked(
     ]
 
 
-def _shared(equations: tuple[Relation, ...], traces: Sequence[Trace]) -> tuple[str, ...]:
-    """What no kinematics can tell, in sentences."""
+def _shared(
+    equations: tuple[Relation, ...], traces: Sequence[Trace], fast: tuple[Relation, ...]
+) -> tuple[str, ...]:
+    """What no kinematics can tell, in sentences; ``fast`` are those sampled too seldom."""
     units, related = units_of(traces), names_of(equations)
     alone = ", ".join(n for n in units if n not in related)
     targets = ", ".join(r.target for r in equations if r.is_rate)
     positions = contrasts.positions_of(equations, units)
     velocities = ", ".join(contrasts.velocities_of(equations, units))
-    fast = filterfalse(partial(_is_resolved, traces), equations)
     told = [
         (alone, f"No equation without unknown parameters relates {alone}."),
         (equations, f"Constant offsets of {targets}, and a delay common to all signals."),

@@ -27,6 +27,7 @@ from oed_sysid.evidence.study import Study, likelier, usual
 from oed_sysid.evidence.usual import usual_effects
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.departures import TWOFOLD
+from oed_sysid.likelihood.estimate import once_a_fit
 from oed_sysid.likelihood.gauss_newton import NEAR, FilteredSolution
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.random_forces import periods, with_sea
@@ -181,11 +182,14 @@ class Search:
         does, the term is asked first: a search among all of them would end with it, too.
         """
         usual = self._usual(end)
-        if usual is not None and not self.stage("what leads", partial(usual_leads, usual)):
-            with_it = self._term(end)
-            if with_it.proposals is not None and not with_it.left.structured:
-                return with_it
-        return self._term(end if usual is None else self._among(usual, end))
+        if usual is None:
+            return self._term(end)
+        leads = self.stage("what leads", partial(usual_leads, usual, end.state.study))
+        with_it = None if leads else self._term(end)
+        if with_it is not None and with_it.proposals is not None and not with_it.left.structured:
+            return with_it
+        after = self._among(usual, end)
+        return self._term(after) if with_it is None or after is not end else with_it
 
     def _usual(self, end: Ended) -> Standing | None:
         """The same state among the usual effects that nobody named, too; None without any."""
@@ -318,7 +322,7 @@ class Search:
         once, tell = self.keep.once, self.tell
         while len(state.added) < self.max_effects:
             tell(f"ranking candidates, round {len(state.added) + 1}")
-            ranking = once("ranking", partial(rank, state.study, state.fit, state.left))
+            ranking = once("ranking", partial(_ranked, state))
             state = once("alike", partial(with_alike, state, ranking))
             yield state, ranking
             chosen, decisions = once("choice", partial(choice, state, ranking))
@@ -346,10 +350,21 @@ class Search:
             yield state, ranking
 
 
-def usual_leads(state: Standing) -> bool:
-    """Whether a candidate explains as much as the best term, by odds that tell them apart."""
-    refits = rank(state.study, state.fit, state.left).refits
-    term = propose(state.study, state.fit).best
+@once_a_fit
+def _ranked(state: Standing) -> Ranking:
+    """The candidates left; asked whether one leads a term, and in the first round after that."""
+    return rank(state.study, state.fit, state.left)
+
+
+_proposed = once_a_fit(propose, place=1)
+
+
+def usual_leads(state: Standing, nominal: Study) -> bool:
+    """Whether a candidate explains as much as the best term, by odds that tell them apart.
+
+    Terms are asked beside the study without those candidates, as they are after that.
+    """
+    refits, term = _ranked(state).refits, _proposed(nominal, state.fit).best
     named = refits[0].evidence if refits else -np.inf
     return term is None or bool(named > term.refit.evidence - TOLD_APART)
 
@@ -671,7 +686,7 @@ def with_term(
     """
     nominal = replace(state, added=(), fit=state.path[0])
     begun = (state, nominal) if state.added else (state,)
-    proposed = [(one, propose(one.study, one.fit)) for one in begun]
+    proposed = [(one, _proposed(one.study, one.fit)) for one in begun]
     tied = proposed[0][1].group[:3]
     beside = ((_beside(one, proposals, max_effects), proposals) for one, proposals in proposed)
     options = [(option, proposals) for option, proposals in beside if option is not None]
