@@ -41,7 +41,8 @@ from oed_sysid.evidence.claim import (
 )
 from oed_sysid.evidence.rank import pairs, rank
 from oed_sysid.evidence.score import two_sided
-from oed_sysid.evidence.study import RISE, RISE_DISTURBED, Study, worse
+from oed_sysid.evidence.study import RISE, RISE_DISTURBED, Study, usual, worse
+from oed_sysid.evidence.usual import usual_effects
 from oed_sysid.likelihood.disturbances import disturbed_equations
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.noise_model import Levels
@@ -354,14 +355,37 @@ def test_only_equations_with_parameters_are_disturbed() -> None:
     assert disturbed_equations(SHIP) == ("r",)
 
 
-def test_sub_models_of_a_study_are_the_models_themselves() -> None:
+def twin() -> tuple[Model, Dataset]:
+    """The ship with two rudders alike, of which the second follows some samples later."""
+    model = replace(
+        SHIP,
+        inputs=(*SHIP.inputs, Input("second", "rad", "second rudder")),
+        kinematics={"psi": "r", "r": "(K*(delta_1 + 0.5*delta_2) - r)/T"},
+        actuators={"delta_1": "rudder", "delta_2": "second"},
+    )
+    (one,) = dataset(1, N3, 1)
+    inputs = np.column_stack([one.inputs, np.roll(one.inputs, 9)])
+    return model, Dataset((Record(one.name, one.times, inputs, one.outputs, model.channels),))
+
+
+@pytest.mark.parametrize("rudders", [1, 2])
+def test_sub_models_of_a_study_are_the_models_themselves(rudders: int) -> None:
     """On the filter of all candidates each model has the likelihood it has on its own."""
-    data = dataset(1, N3, 1)
-    study, fit = Study.begin(SHIP, data, None, CANDIDATES, known_noise=False)
-    assert len(study.candidates) == len(CANDIDATES)
+    if rudders == 1:
+        base, data, candidates = SHIP, dataset(1, N3, 1), CANDIDATES
+        tried = [(), CANDIDATES[:1], CANDIDATES[::-1]]
+    else:
+        # What an offset moves goes through all that remembers both rudders, and is not there.
+        base, data = twin()
+        candidates = usual_effects(base, data)
+        tried = [(one,) for one in candidates if one.name in ("delta_1_offset", "delta_2_gain")]
+        assert len(tried) == 2
+    study, fit = Study.begin(base, data, None, candidates, known_noise=False)
+    assert len(study.candidates) == len(candidates)
     levels = study.levels(fit.noise, data)
-    for effects in ((), study.candidates[:1], study.candidates[::-1]):
-        model = study.model(effects, fit.values)
+    for effects in tried:
+        values = fit.values | usual(effects)
+        model = study.model(effects, values)
         through = Filtered(model, data, levels, kernel=study.kernel)
         alone = Filtered(model, data, levels)
         point = through.point(fit.initial)

@@ -503,14 +503,18 @@ def disturbed_model(model: Model, disturbances: Sequence[str]) -> Model:
 def active_components(wide: Model, model: Model, *, passing: bool = False) -> np.ndarray:
     """Components of the wide model's full state that a smaller model has.
 
-    With ``passing`` the one memory of an absent actuator effect counts among them: where a
-    command stands still, derivatives pass an absent backlash through what it remembers.
+    With ``passing`` what absent actuator effects remember counts among them, registers of delays
+    apart: where a command stands still, derivatives pass an absent backlash through its memory.
     """
-    parts = [(effect.name, len(effect.states), False) for effect in wide.effects]
+    present = frozenset(model.effect_names)
+    kept = [True] * len(wide.states)
+    kept += [effect.name in present for effect in wide.effects for _ in effect.states]
     for stage in ("actuator", "sensor"):
-        memories = [(e.name, len(e.memory)) for e in wide.effects if e.stage == stage]
-        parts += [(name, n, stage == "actuator" and n == 1) for name, n in memories]
-    kept, present = [True] * len(wide.states), frozenset(model.effect_names)
-    for name, count, single in parts:
-        kept += [name in present or (passing and single)] * count
+        passed = passing and stage == "actuator"
+        kept += [
+            effect.name in present or (passed and not memory.shortest)
+            for effect in wide.effects
+            if effect.stage == stage
+            for memory in effect.memory
+        ]
     return np.flatnonzero(kept)
