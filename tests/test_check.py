@@ -1141,6 +1141,19 @@ def test_two_records_have_each_their_own() -> None:
     }
 
 
+@pytest.mark.parametrize("sizes", [(0.006, 0.010, 0.004), (0.02, 0.04, 0.03)])
+def test_each_record_has_a_bias_of_its_own(sizes: tuple[float, ...]) -> None:
+    """Of one sign and three sizes: no step that sets in after the first samples of a record."""
+    data = spoilt(SHIP, 0, {number: ("r", size) for number, size in enumerate(sizes)})
+    found = check(data, SHIP.model, inputs=False).serious
+    assert {(one.kind, one.signals) for one in found} == {("bias", ("r",))}
+    told = np.zeros(3)
+    for one in found:
+        own = [int(name.removeprefix("run_")) for name in one.records] or range(3)
+        told[own] += one.size
+    np.testing.assert_allclose(told, sizes, atol=4e-4)
+
+
 def test_the_copy_changes_that_record_only() -> None:
     """Undone where it was found, and nowhere else."""
     clean, data = spoilt(DIVER, 2, {}), spoilt(DIVER, 2, {1: ("q", 0.01)})

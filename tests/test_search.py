@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -41,7 +41,7 @@ from oed_sysid.likelihood.laws import Law
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import eliminate
 from oed_sysid.likelihood.random_forces import begun
-from oed_sysid.physics import actuator_delay, actuator_lag
+from oed_sysid.physics import actuator_delay, actuator_lag, sensor_bias
 from oed_sysid.runtime.journal import Journal
 
 TURNING = {"a_v": 0.12, "a_r": 3.0, "a_d": 0.25, "c_v": 0.004, "c_r": 0.16, "c_d": 0.022}
@@ -391,17 +391,22 @@ STEADY = small(
 )
 
 
-def pushed(seed: int) -> Dataset:
-    """A run of the roll, five samples a period, exact between samples, where a push is held."""
-    c, k, b = LIGHT.values()
-    rng, n = np.random.default_rng(seed), 300
-    move = expm(2.0 * np.array([[0.0, 1.0, 0.0], [-k, -c, b], [0.0, 0.0, 0.0]]))
-    push = np.repeat(rng.uniform(-1.0, 1.0, n // 10), 10)
-    states = np.zeros((n, 3))
-    for row in range(n - 1):
+def swings(step: float, values: Mapping[str, float], push: np.ndarray) -> np.ndarray:
+    """Angle and rate of an oscillation, exact between samples, where a push is held."""
+    c, k, b = values.values()
+    move = expm(step * np.array([[0.0, 1.0, 0.0], [-k, -c, b], [0.0, 0.0, 0.0]]))
+    states = np.zeros((push.size, 3))
+    for row in range(push.size - 1):
         states[row, 2] = push[row]
         states[row + 1] = move @ states[row]
-    measured = states[:, :2] + 0.001 * rng.standard_normal((n, 2))
+    return states[:, :2]
+
+
+def pushed(seed: int) -> Dataset:
+    """A run of the roll, five samples a period."""
+    rng, n = np.random.default_rng(seed), 300
+    push = np.repeat(rng.uniform(-1.0, 1.0, n // 10), 10)
+    measured = swings(2.0, LIGHT, push) + 0.001 * rng.standard_normal((n, 2))
     record = Record(f"run_{seed}", 2.0 * np.arange(n), push[:, None], measured, STEADY.channels)
     return Dataset((record,))
 
@@ -417,6 +422,36 @@ def test_where_nothing_is_missing_no_estimate_depends_on_the_step() -> None:
         error = found.fit.std_errors[name]
         assert abs(found.fit.values[name] - value) < 3.0 * error
         assert abs(found.fit.values[name] - plain.values[name]) < 0.3 * error
+
+
+HEAVY = {"d": 0.45, "k": 0.28, "b": -0.5}
+SWING = small(
+    "swing",
+    "x [m], v [m/s] <- u [1]",
+    {"x": "v", "v": "b*u - d*v - k*x"},
+    {f"{name} [1]": 1.25 * value for name, value in HEAVY.items()},
+    {"x": 0.031, "v": 0.014},
+    step=0.25,
+)
+
+
+@pytest.mark.parametrize("error", [1.76, 3.0])
+def test_a_velocity_far_off_is_no_force(error: float) -> None:
+    """By two and four times its motion: forces that followed it left models that grow without end."""
+    runs = []
+    for seed in (0, 1):
+        rng, times = np.random.default_rng(seed), 0.25 * np.arange(400)
+        push = np.sin(2.0 * np.pi * (0.02 + 0.002 * times) * times + seed)
+        noise = [0.031, 0.014] * rng.standard_normal((times.size, 2))
+        measured = swings(0.25, HEAVY, push) + noise + [0.0, error]
+        run = Record(f"run_{seed}", times, push[:, None], measured, SWING.channels)
+        runs.append(Dataset((run,)))
+    candidates = [actuator_lag("lag", "u"), sensor_bias("bias", "v", "m/s", scale=0.01)]
+    found = improve(SWING, *runs, candidates=candidates, terms=False)
+    assert found.base_error["train"] < error / 0.014
+    assert [step.added for step in found.steps] == ["bias"]
+    for name, value in {**HEAVY, "E_bias": error}.items():
+        assert abs(found.fit.values[name] - value) < 4.0 * found.fit.std_errors[name]
 
 
 def test_spikes_are_left_out_of_a_search_as_of_a_fit() -> None:

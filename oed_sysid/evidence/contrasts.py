@@ -1079,10 +1079,14 @@ def search(
 
 
 def _places(traces: Sequence[Trace], local: Sequence[Candidate]) -> Iterator[Candidate]:
-    """What may begin anywhere, at every place of every record; steps may also pass."""
+    """What may begin anywhere, at every place of every record; steps may also pass.
+
+    One of many places is that much rarer than what holds for the whole record.
+    """
     for trace, one in product(traces, local):
         for kind in ("step", "burst") if one.kind == "step" else (one.kind,):
-            here = replace(one, kind=kind, record=trace.name)
+            rare = one.rare + 2.0 * math.log(PLACES)
+            here = replace(one, kind=kind, record=trace.name, rare=rare)
             for begin in PLACED.tolist():
                 end = begin + 1.0 / PLACES if kind == "burst" else 1.0
                 yield replace(here, span=(begin, end))

@@ -68,7 +68,8 @@ def _unopposed(end: Result, traces: Sequence[Trace], question: Question) -> Resu
     """
     # What begins at a place of a record is another at every place.
     whole = {one.candidate for one in end.found} & {*question.common, *question.single}
-    kinds = [one.kind for one in whole]
+    # That of a signal in one record only adds to that in all.
+    kinds = [kind for kind, _ in {(one.kind, one.signals) for one in whole}]
     opposed = {one for one in whole if kinds.count(one.kind) > 1}
     if not opposed:
         return end

@@ -135,12 +135,15 @@ def fit_disturbed(
         See :func:`~oed_sysid.likelihood.gauss_newton.solve_filtered`.
     progress : callable, optional
     """
-    beginnings = [
-        _begun(setting, start, noise, test.unit)
+    begun_at = [
+        (start, _begun(setting, start, noise, test.unit))
         for count, noise in enumerate(_noises(setting, test))
         for start in starts
         if not count or start.noise is None
     ]
+    # Beside those whose levels were looked for, given ones count only where they are likelier.
+    least = min(one.cost for _, one in begun_at)
+    beginnings = [one for start, one in begun_at if start.noise is None or one.cost <= least]
     stayed = _stayed(beginnings, starts)
     best = stayed or _raced_to_sea(beginnings, setting, progress)
     if best.finite is None:
