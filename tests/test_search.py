@@ -437,7 +437,7 @@ SWING = small(
 
 @pytest.mark.parametrize("error", [1.76, 3.0])
 def test_a_velocity_far_off_is_no_force(error: float) -> None:
-    """By two and four times its motion: forces that followed it left models that grow without end."""
+    """By two and four times its motion: forces that followed it left models that diverge."""
     runs = []
     for seed in (0, 1):
         rng, times = np.random.default_rng(seed), 0.25 * np.arange(400)
