@@ -18,11 +18,12 @@ from oed_sysid.evidence.study import Study
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.disturbances import chosen_places
 from oed_sysid.likelihood.filtered import Filtered
+from oed_sysid.likelihood.gauss_newton import differentiated, restricted
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
 from oed_sysid.likelihood.prediction import unknown_series
 from oed_sysid.likelihood.score_test import ScoreTest, Setting, Start, score_test
-from oed_sysid.likelihood.shooting import Shooting
+from oed_sysid.likelihood.shooting import Point, Shooting
 from oed_sysid.likelihood.windows import Windows
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
@@ -614,3 +615,26 @@ def test_noise_is_estimated_by_the_restricted_likelihood() -> None:
         of_the_likelihood.append(pushed_cost(data, *likeliest, restricted=True) - optimum)
     assert max(missed) < 0.3
     assert sum(of_the_likelihood) > 4.0 * sum(missed)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e-12])
+def test_the_slope_at_a_variance_of_zero_is_that_of_any_unit(unit: float) -> None:
+    """What the restricted likelihood adds, of a force that does not act, in SI units.
+
+    In units of its size and of a billionth of it: where records begin to tell of a variance far
+    above its unit, a difference of one unit is rounding.
+    """
+    model, data = pushed(np.random.default_rng(0))
+    noise = NoiseModel.white_only(np.array([SENSOR]), ("v",)).with_places(["force v"], 3.0)
+    levels = Levels.of(noise, replace(noise, force=np.array([unit])), force=True)
+    problem = Filtered(model, data, levels.only(levels.are_variances))
+    at = problem.point([np.zeros(1)])
+    (level,) = range(*problem.layout.levels.indices(problem.layout.n_unknowns))
+    far = at.unknowns.copy()
+    far[level] = (1e-3 / unit) ** 2
+    slopes = [kind(problem, at).equations.right[level] for kind in (differentiated, restricted)]
+    added = [
+        restricted(problem, one).cost - differentiated(problem, one).cost
+        for one in (at, Point(far, ()))
+    ]
+    assert (slopes[0] - slopes[1]) / unit**2 == pytest.approx((added[1] - added[0]) / 1e-6, rel=0.1)

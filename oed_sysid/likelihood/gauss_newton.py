@@ -340,10 +340,12 @@ def _filtered(problem: Filtered, point: Point, cost: float, derive: Derive) -> I
 def differences(problem: Filtered, matrix: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
     """One standard deviation, others known, at most a scale; of what nothing tells, its scale."""
     size, scale = np.diag(matrix) + problem.limits.prior_weight, problem.limits.scale.copy()
-    # Variances are often many decades above the unit in which they began.
-    levels = problem.layout.levels
-    scale[levels] = np.maximum(scale[levels], np.abs(unknowns[levels]))
     std = np.where(size > 0, 1.0 / np.sqrt(np.where(size > 0, size, 1.0)), scale)
+    # Variances are often many decades above the unit in which they began; of one that is zero a
+    # unit far below what the records begin to tell is rounding.
+    levels = problem.layout.levels
+    sizes = scale[levels], np.abs(unknowns[levels]), THREE_DIGITS * std[levels]
+    scale[levels] = np.max(sizes, axis=0)
     return np.minimum(std, scale)
 
 
