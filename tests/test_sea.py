@@ -153,6 +153,44 @@ def test_no_sea_is_claimed_without_waves(force: str, seed: int) -> None:
     assert not MultipleShooting().fit(SHIP, records(force, seed)).noise.seas
 
 
+UNDECLARED = nomoto(0.12, 6.0, noise=(None, None), step=0.5)
+
+
+@cache
+def sparsely(force: str, seed: int) -> Dataset:
+    """Every second sample, seven in a wave."""
+    taken = slice(None, None, 2)
+    return Dataset(
+        tuple(
+            Record(one.name, one.times[taken], one.inputs[taken], one.outputs[taken], SHIP.channels)
+            for one in records(force, seed)
+        )
+    )
+
+
+@pytest.mark.parametrize("disturbances", ["auto", *slow(Sea())])
+@pytest.mark.parametrize("seed", [0, *slow(1, 2, 3)])
+def test_waves_are_told_from_sensors_of_unknown_noise(seed: int, disturbances: str | Sea) -> None:
+    """A white fit takes them for noise of the gyro, twice as large; slow forces cannot act there.
+
+    A score at variance zero is of these: heading adds up what is slow in a force.
+    """
+    fit = MultipleShooting(disturbances=disturbances).fit(UNDECLARED, sparsely("waves", seed))
+    assert fit.noise.seas[0].period == pytest.approx(PERIOD, rel=0.1)
+    assert fit.sigma == pytest.approx(WHITE, rel=0.15)
+    declared = MultipleShooting().fit(SHIP, sparsely("waves", seed))
+    for name, error in declared.std_errors.items():
+        assert abs(fit.values[name] - declared.values[name]) < 0.3 * error
+
+
+@pytest.mark.parametrize("seed", [0, 1, *slow(2, 3)])
+def test_white_sensors_of_unknown_noise_are_no_sea(seed: int) -> None:
+    """Nothing is estimated but their noise."""
+    fit = MultipleShooting().fit(UNDECLARED, sparsely("", seed))
+    assert fit.noise.is_white
+    assert fit.sigma == pytest.approx(WHITE, rel=0.15)
+
+
 def test_the_constrained_program_ends_where_the_other_does(at_sea: Fit) -> None:
     """IPOPT finds the same sea, an equation in which no waves act included."""
     (sea,) = at_sea.noise.seas

@@ -33,6 +33,7 @@ from oed_sysid.likelihood.random_forces import (
     FIRST_STEPS,
     Start,
     fit_disturbed,
+    sea_beside_white,
 )
 from oed_sysid.likelihood.score_test import (
     ScoreTest,
@@ -439,7 +440,9 @@ class MultipleShooting:
         except SimulationError:  # the model itself diverges: the status says so
             return fit, None
         fit = replace(fit, process_noise=ProcessNoiseTest(test.gain))
-        if tests and test.gain < TOLD_APART:
+        # Where residuals are far above noise the values may have followed what disturbs them, and
+        # a test tells nothing there.
+        if tests and test.gain < TOLD_APART and len(starts) == 1:
             return fit, None
         test = replace(test, noise=_declared_levels(test.noise, declared))
         begun = (starts,) if task.carried is None else ([task.carried], starts)
@@ -669,15 +672,23 @@ def _score(
 ) -> ScoreTest:
     """The score test at a white fit; where it only ``tests``, noisier sensors are asked first.
 
-    Correlation times of the process noise that an earlier fit found come before others.
+    Correlation times of the process noise that an earlier fit found come before others. Where
+    forces of first order show nothing a sea is asked for.
     """
+
+    def asked(setting: Setting) -> ScoreTest:
+        test = score_test(setting, start)
+        if not tests or test.gain >= TOLD_APART:
+            return test
+        return replace(test, gain=max(test.gain, sea_beside_white(setting, start, test)))
+
     quiet = replace(setting, white=np.maximum(fit.sigma, setting.white))
     factors = {one.signal: one.size for one in concerns_of(fit, "noise_level")} if tests else {}
     sizes = np.array([factors.get(name, 0.0) for name in fit.model.output_names])
     if (sizes > 1.0).any():
         # White noise above the declared level is no process noise.
         noisier = replace(quiet, white=np.maximum(sizes, 1.0) * quiet.white)
-        test = score_test(noisier, start)
+        test = asked(noisier)
         if test.gain < TOLD_APART:
             return test
     if carried is not None and carried.noise is not None:
@@ -686,7 +697,7 @@ def _score(
         test = score_test(quiet, start, times=times)
         if test.gain >= TOLD_APART:
             return test
-    return score_test(quiet, start)
+    return asked(quiet)
 
 
 def _excluded(fit: Fit, before: np.ndarray) -> dict[str, tuple[int, int]]:

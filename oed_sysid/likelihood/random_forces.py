@@ -743,31 +743,65 @@ def _likely_periods(
     found: FilteredSolution, setting: Setting, places: Sequence[str]
 ) -> list[float]:
     """Periods at which the test has a peak, s; none where no sea is declared and none shows."""
-    tried = periods(found) if places else []
+    tried, gains = _gains_at_sea(found, setting, places)
     if not tried:
         return [found.problem.records[0].duration / 8] if setting.seas else []
-    sample = max(record.sample_time for record in found.problem.records)
-    scored = cache(lambda count: Scored.at(found, sample / count))
-    own, names = _own_times(found, found.noise), [f"sea {place} level" for place in places]
-
-    def gain(period: float) -> float:
-        """What resonators of this period would gain at variance zero."""
-        sea = _calm(places, period)
-        noise, known = replace(found.noise, seas=(sea,)), [replace(sea, levels=None)]
-        wide = posed(found, setting, noise, own_times=own, seas=known)
-        # Held over as many steps of a sample as a wave needs: those of one number have one filter.
-        steps = int(np.ceil(STEPS_OF_PERIOD * sample / period - 1e-6))
-        return scored(max(steps, 1)).gain(wide, names)[0]
-
-    asked = _in_spectrum(found, [_calm(places, one) for one in tried]) | bool(setting.seas)
-    gains = np.zeros(len(tried))
-    gains[asked] = [gain(one) for one in compress(tried, asked)]
     beside = np.pad(gains, 1)
     peaks = (gains > beside[:-2]) & (gains >= beside[2:])
     peaks &= gains >= threshold(len(places), len(tried))
     if setting.seas and not peaks.any():
         return [tried[int(np.argmax(gains))]]
     return list(compress(tried, peaks))
+
+
+def _gains_at_sea(
+    found: FilteredSolution, setting: Setting, places: Sequence[str]
+) -> tuple[list[float], np.ndarray]:
+    """Periods that are tried, s, and what resonators of each would gain."""
+    tried = periods(found) if places else []
+    gains, calm = np.zeros(len(tried)), [_calm(places, period) for period in tried]
+    asked = _in_spectrum(found, calm) | bool(setting.seas) if tried else gains > 0
+    if not asked.any():
+        return tried, gains
+    sample = max(record.sample_time for record in found.problem.records)
+    scored = cache(lambda count: Scored.at(found, sample / count))
+    own, names = _own_times(found, found.noise), [f"sea {place} level" for place in places]
+    least = threshold(len(places), len(tried))
+
+    def gain(period: float, sea: Sea) -> float:
+        noise, known = replace(found.noise, seas=(sea,)), [replace(sea, levels=None)]
+        wide = posed(found, setting, noise, own_times=own, seas=known)
+        # Held over as many steps of a sample as a wave needs: those of one number have one filter.
+        steps = int(np.ceil(STEPS_OF_PERIOD * sample / period - 1e-6))
+        shown = scored(max(steps, 1)).gain(wide, names)[0]
+        # At zero most is told by the slow part of a force, which what is estimated has followed.
+        return shown if shown >= least else _likeliest_sea(found, setting, found.noise, sea)[1]
+
+    gains[asked] = [gain(*one) for one in compress(zip(tried, calm, strict=True), asked)]
+    return tried, gains
+
+
+def sea_beside_white(setting: Setting, start: Start, test: ScoreTest) -> float:
+    """What a sea would gain at a fit to white noise, in twice the log-likelihood; 0 for none.
+
+    Forces of first order are correlated in one sense at all lags. What waves leave changes its
+    sense every half wave and may look like none of them.
+
+    Parameters
+    ----------
+    setting : Setting
+        With the white noise of the fit.
+    start : Start
+        Where it ended.
+    test : ScoreTest
+        What forces of first order and autocorrelated sensors would gain there.
+    """
+    white = replace(test.noise, colour=0.0 * setting.white, force=0.0 * test.noise.force)
+    problem, unknowns = setting.problem(start, setting.levels(setting.dataset, white, test.unit))
+    found, places = FilteredSolution(begun(problem, unknowns), 0, "converged"), setting.at_sea
+    tried, gains = _gains_at_sea(found, setting, places)
+    most = float(gains.max(initial=0.0))
+    return most if most > 0.0 and most >= threshold(len(places), len(tried)) else 0.0
 
 
 def _in_spectrum(found: FilteredSolution, calm: Sequence[Sea]) -> np.ndarray:
@@ -846,7 +880,7 @@ def _at_sea(
     # A force of first order and a sea in one place would share its variance: one at a time.
     alone = first.only([p not in sea.places or p in setting.known for p in first.places])
     if known.levels is None:
-        sea = _likeliest_sea(found, setting, alone, sea)
+        sea, _ = _likeliest_sea(found, setting, alone, sea)
     # Everything else first, lest period and width follow its misfit.
     held = replace(known, period=sea.period, bandwidth=sea.bandwidth)
     noise = replace(alone, seas=(sea,))
@@ -863,15 +897,30 @@ def _at_sea(
     return to_the_end(best) if best in looked else best
 
 
-def _likeliest_sea(found: FilteredSolution, setting: Setting, alone: NoiseModel, sea: Sea) -> Sea:
-    """The sea with the likeliest of some levels in proportion to those of first order."""
-    unit = found.problem.levels.unit
-    size = [max(found.noise.level(p)[0], unit.level(p)[0]) for p in sea.places]
-    tried = [sea.with_levels(share * np.array(size)) for share in (2.0, 0.6, 0.2, 0.06)]
+def _likeliest_sea(
+    found: FilteredSolution, setting: Setting, noise: NoiseModel, sea: Sea
+) -> tuple[Sea, float]:
+    """The sea beside some noise with the likeliest of some levels, and its gain over none.
+
+    In twice the log-likelihood, all else held. Levels are in proportion to those of first order, or
+    where there are none to those of which the records begin to tell; half a decade follows the
+    other up to where they are clearly too large.
+    """
+    unit, own = found.problem.levels.unit, _own_times(found, noise)
+    size = np.array([max(found.noise.level(p)[0], unit.level(p)[0]) for p in sea.places])
 
     def objective(one: Sea) -> float:
         known = [replace(one, levels=None)]
-        problem = posed(found, setting, replace(alone, seas=(one,)), seas=known)
+        wide = replace(noise, seas=(one,))
+        problem = posed(found, setting, wide, own_times=own, seas=known)
         return problem.objective(problem.beside(found.point.unknowns).unknowns)
 
-    return min(tried, key=objective)
+    likeliest, least = sea, np.inf
+    for half in range(-2, 2 * DECADES):
+        one = sea.with_levels(0.6 * 10.0 ** (half / 2) * size)
+        cost = objective(one)
+        if cost < least:
+            likeliest, least = one, cost
+        elif not cost < least + WORTH:
+            break
+    return likeliest, objective(sea.with_levels(0.0 * size)) - least
