@@ -160,8 +160,8 @@ class Prediction:
         Model outputs, per record.
     model_std : tuple of ndarray (n_times, n_outputs)
         Standard deviation that the uncertainty of parameters and initial
-        states gives them; infinite where a parameter is not identifiable and
-        matters.
+        states gives them, and disturbance forces of the fit, if any; infinite
+        where a parameter is not identifiable and matters.
     sigma : ndarray (n_outputs,)
         Standard deviation of the measurement noise.
     initial_states : tuple of mapping

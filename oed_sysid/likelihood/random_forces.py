@@ -17,10 +17,13 @@ first order projected out. Its largest value over a grid of periods is held agai
 *Constrained statistical inference*, ch. 3), each period a test of its own.
 
 A period is tested where the spectrum of the innovations may show more than white noise about it
-(:func:`_in_spectrum`). Where ``T`` is beyond, resonators are estimated *instead* of the forces,
-first at the period of the test, then with everything together; three shapes compete, and the sea
-stays where it is clearly likelier. Forces of first order on top are asked last, because a wrong
-shape lets them in.
+(:func:`_in_spectrum`). At zero most of ``s`` and ``I`` is of the slow part of a force, which start
+states and parameters have followed: where ``T`` is below, what the likelihood gains at growing
+levels stands for it (:func:`_likeliest_sea`), no more than everything together would gain. Where
+either is beyond, resonators are estimated *instead* of the forces, first at the period of the test,
+then with everything together; three shapes compete, and the sea stays where it is clearly likelier.
+Forces of first order on top are asked last, because a wrong shape lets them in. Where these show
+nothing at the fit to white noise the same is asked there (:func:`sea_beside_white`).
 """
 
 from __future__ import annotations
