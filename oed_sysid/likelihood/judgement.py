@@ -760,9 +760,11 @@ def _answers(fit: Estimate) -> tuple[np.ndarray, np.ndarray]:
         one if one.independent else replace(one, inputs=np.tile(mean, (one.n_samples, 1)))
         for one in fit.dataset
     ]
-    passes = []
+    # One wave in several equations would pass the answer of one on to the others.
+    seas = tuple(replace(one, phases=None, coherence=None) for one in fit.noise.seas)
+    apart, passes = replace(fit, noise=replace(fit.noise, seas=seas)), []
     for records in (fit.dataset, Dataset(tuple(held))):
-        problem, unknowns = posed_again(replace(fit, dataset=records))
+        problem, unknowns = posed_again(replace(apart, dataset=records))
         passes.append(problem.passes(unknowns, columns=False))
     answer, gained = np.zeros((2, len(fit.model.outputs)))
     for own, without in zip(*passes, strict=True):

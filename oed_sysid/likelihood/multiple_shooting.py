@@ -440,9 +440,10 @@ class MultipleShooting:
         except SimulationError:  # the model itself diverges: the status says so
             return fit, None
         fit = replace(fit, process_noise=ProcessNoiseTest(test.gain))
-        # Where residuals are far above noise the values may have followed what disturbs them, and
-        # a test tells nothing there.
-        if tests and test.gain < TOLD_APART and len(starts) == 1:
+        # Where residuals are far above what the signals show of noise that nobody declared, the
+        # values may have followed what disturbs them, and a test tells nothing there.
+        astray = len(starts) > 1 and setting.estimated.any()
+        if tests and test.gain < TOLD_APART and not astray:
             return fit, None
         test = replace(test, noise=_declared_levels(test.noise, declared))
         begun = (starts,) if task.carried is None else ([task.carried], starts)
