@@ -69,7 +69,7 @@ def _unopposed(end: Result, traces: Sequence[Trace], question: Question) -> Resu
     # What begins at a place of a record is another at every place.
     whole = {one.candidate for one in end.found} & {*question.common, *question.single}
     # That of a signal in one record only adds to that in all.
-    kinds = [kind for kind, _ in {(one.kind, one.signals) for one in whole}]
+    kinds = list({(one.kind, one.signals): one.kind for one in whole}.values())
     opposed = {one for one in whole if kinds.count(one.kind) > 1}
     if not opposed:
         return end

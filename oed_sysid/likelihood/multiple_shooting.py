@@ -440,10 +440,7 @@ class MultipleShooting:
         except SimulationError:  # the model itself diverges: the status says so
             return fit, None
         fit = replace(fit, process_noise=ProcessNoiseTest(test.gain))
-        # Where residuals are far above what the signals show of noise that nobody declared, the
-        # values may have followed what disturbs them, and a test tells nothing there.
-        astray = len(starts) > 1 and setting.estimated.any()
-        if tests and test.gain < TOLD_APART and not astray:
+        if tests and _nothing_shows(test, starts, setting):
             return fit, None
         test = replace(test, noise=_declared_levels(test.noise, declared))
         begun = (starts,) if task.carried is None else ([task.carried], starts)
@@ -828,6 +825,16 @@ def _declared_levels(noise: NoiseModel, declared: Sequence[RandomProcess]) -> No
             force[index] = process.level
         time[index] = process.time
     return replace(noise, force=force, force_time=time)
+
+
+def _nothing_shows(test: ScoreTest, starts: Sequence[Start], setting: Setting) -> bool:
+    """Whether a test says that no process noise acts, where it can.
+
+    Where residuals are far above what the signals show of noise that nobody declared, the values
+    may have followed what disturbs them, and a test tells nothing there.
+    """
+    astray = len(starts) > 1 and bool(setting.estimated.any())
+    return test.gain < TOLD_APART and not astray
 
 
 def _no_likelier(disturbed: Fit, white: Fit) -> bool:

@@ -138,6 +138,17 @@ def fit_disturbed(
         See :func:`~oed_sysid.likelihood.gauss_newton.solve_filtered`.
     progress : callable, optional
     """
+    beginnings = _beginnings(setting, starts, test)
+    stayed = _stayed(beginnings, starts)
+    best = stayed or _raced_to_sea(beginnings, setting, progress)
+    if best.finite is None:
+        return best
+    best = admitted(best, setting)
+    return best if best is stayed or not polish else _polished(best, polish)
+
+
+def _beginnings(setting: Setting, starts: Sequence[Start], test: ScoreTest) -> list[Iterate]:
+    """Every start with every noise to begin with; one whose noise is given only with that."""
     begun_at = [
         (start, _begun(setting, start, noise, test.unit))
         for count, noise in enumerate(_noises(setting, test))
@@ -146,13 +157,7 @@ def fit_disturbed(
     ]
     # Beside those whose levels were looked for, given ones count only where they are likelier.
     least = min(one.cost for _, one in begun_at)
-    beginnings = [one for start, one in begun_at if start.noise is None or one.cost <= least]
-    stayed = _stayed(beginnings, starts)
-    best = stayed or _raced_to_sea(beginnings, setting, progress)
-    if best.finite is None:
-        return best
-    best = admitted(best, setting)
-    return best if best is stayed or not polish else _polished(best, polish)
+    return [one for start, one in begun_at if start.noise is None or one.cost <= least]
 
 
 def _noises(setting: Setting, test: ScoreTest) -> list[NoiseModel]:
