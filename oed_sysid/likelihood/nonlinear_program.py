@@ -150,23 +150,19 @@ def solve_constrained(
         "ipopt.print_level": 0,
         "ipopt.sb": "yes",
         "ipopt.max_iter": max_iterations,
-        "ipopt.tol": min(1e-8, tolerance),
+        # Of a filter, differences are rounding below. Where slopes are no better than rounding,
+        # which an unstable motion amplifies, the cost stands still.
+        "ipopt.tol": DIFFERENCE_STEP if isinstance(problem, Filtered) else min(1e-8, tolerance),
+        "ipopt.acceptable_tol": 0.1,
+        "ipopt.acceptable_iter": 5,
+        "ipopt.acceptable_obj_change_tol": 1e-9,
+        "ipopt.acceptable_constr_viol_tol": 1e-8,
         "ipopt.bound_relax_factor": 0.0,
         "no_nlp_grad": True,
         "grad_f": ca.Function("g", at, [f, gradient.T], ["x", "p"], ["f", "grad_f_x"]),
         "jac_g": ca.Function("j", at, [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
         "hess_lag": _hessian(at, len(lower), hessian),
     }
-    if isinstance(problem, Filtered):
-        options |= {
-            # Below, differences are rounding; where slopes are worse than that the cost stands
-            # still.
-            "ipopt.tol": DIFFERENCE_STEP,
-            "ipopt.acceptable_tol": 0.1,
-            "ipopt.acceptable_iter": 5,
-            "ipopt.acceptable_obj_change_tol": 1e-9,
-            "ipopt.acceptable_constr_viol_tol": 1e-8,
-        }
     solver = ca.nlpsol("estimation", "ipopt", {"x": x, "p": nothing, "f": f, "g": g}, options)
     begin = point.unknowns
     result = solver(
