@@ -41,11 +41,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FROZEN_TOLERANCE, FilteredSolution, solve_filtered
 from oed_sysid.likelihood.integration import resolved
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.noise_levels import (
-    credible_levels,
-    given_levels,
-    residual_levels,
-)
+from oed_sysid.likelihood.noise_levels import credible_levels, given_levels, residual_levels
 from oed_sysid.likelihood.noise_model import Disturbances, Levels, NoiseModel, forces_in, seas_in
 from oed_sysid.likelihood.projection import eliminate, inverse_of
 from oed_sysid.likelihood.random_forces import Start, admitted, fit_disturbed, solved
@@ -592,10 +588,11 @@ def _from_white_noise(setting: Setting, fit: Fit) -> tuple[list[Start], ScoreTes
     test = _best_test(setting, starts)
     level = np.where(np.isin(test.noise.places, setting.known), 0.0, test.noise.force)
     test = replace(test, noise=replace(test.noise, force=level))
-    # What no force can do (a rate that is off against its angle) only louder sensors can be.
-    white = np.fmax(residual_levels(fit.residuals), test.noise.white)
-    left = replace(test.noise, white=white, colour=0.0 * white, force=0.0 * level)
-    return [*starts, *(replace(one, noise=left) for one in starts[1:])], test
+    if len(starts) > 1:
+        # What no force can do (a rate that is off against its angle) only louder sensors can be.
+        white = np.fmax(residual_levels(fit.residuals), test.noise.white)
+        starts.append(replace(starts[-1], noise=replace(test.quiet, white=white)))
+    return starts, test
 
 
 def usual(effects: Sequence[Effect]) -> dict[str, float]:

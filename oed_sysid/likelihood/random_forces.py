@@ -157,7 +157,7 @@ def _beginnings(setting: Setting, starts: Sequence[Start], test: ScoreTest) -> l
     ]
     # Beside those whose levels were looked for, given ones count only where they are likelier.
     least = min(one.cost for _, one in begun_at)
-    return [one for start, one in begun_at if start.noise is None or one.cost <= least]
+    return [one for start, one in begun_at if start.noise is None or not one.cost > least]
 
 
 def _noises(setting: Setting, test: ScoreTest) -> list[NoiseModel]:
@@ -804,8 +804,8 @@ def sea_beside_white(setting: Setting, start: Start, test: ScoreTest) -> float:
     test : ScoreTest
         What forces of first order and autocorrelated sensors would gain there.
     """
-    white = replace(test.noise, colour=0.0 * setting.white, force=0.0 * test.noise.force)
-    problem, unknowns = setting.problem(start, setting.levels(setting.dataset, white, test.unit))
+    levels = setting.levels(setting.dataset, test.quiet, test.unit)
+    problem, unknowns = setting.problem(start, levels)
     found, places = FilteredSolution(begun(problem, unknowns), 0, "converged"), setting.at_sea
     tried, gains = _gains_at_sea(found, setting, places)
     most = float(gains.max(initial=0.0))

@@ -443,6 +443,12 @@ class ScoreTest:
     noise: NoiseModel
     unit: NoiseModel
 
+    @property
+    def quiet(self) -> NoiseModel:
+        """White noise of the fit that was tested, beside which nothing acts."""
+        nothing = np.zeros_like(self.noise.force)
+        return replace(self.noise, colour=np.zeros_like(self.noise.white), force=nothing)
+
 
 def score_test(setting: Setting, start: Start, *, times: Sequence[float] = ()) -> ScoreTest:
     """Test at a white fit whether forces act or sensors are coloured.
