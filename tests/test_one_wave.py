@@ -8,9 +8,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+from marks import slow
 from scipy.signal import hilbert
 
-from benchmarks.truth import runge_kutta
+from benchmarks.truth import gauss_markov, runge_kutta
 from oed_sysid import Dataset, Fit, Input, Model, MultipleShooting, Output, Parameter, Record, State
 from oed_sysid.compiled.filtering import FIRST_PAIR, FOURTH, SEA_PHASE, SECOND_PAIR, rates
 from oed_sysid.errors import ModelError
@@ -78,8 +79,12 @@ def recorded(
     seas: Sequence[np.ndarray],
     push: np.ndarray = PUSH,
     behind: float = BEHIND,
+    gusts: float = 0.0,
 ) -> Record:
-    """One run with fins in squares of some half periods, an elevation of waves for each axis."""
+    """One run with fins in squares of some half periods, an elevation of waves for each axis.
+
+    Gusts besides have a share of their standard deviation, and times of 3 and 1 s.
+    """
     times = 0.25 * np.arange(480)
     fins = np.column_stack([np.where(times // half % 2 < 1, 0.2, -0.2) for half in halves])
     # At the start, the middle and the end of each step.
@@ -89,6 +94,11 @@ def recorded(
         for (w, size, start), late in zip(seas, (0.0, behind), strict=True)
     ]
     pushes = push * np.stack(waves, axis=-1)
+    if gusts:
+        drawn = rng.standard_normal((len(times), 2))
+        kept = np.exp(-0.25 / np.array([3.0, 1.0]))
+        blown = [gauss_markov(*one) for one in zip(drawn.T, kept, strict=True)]
+        pushes += gusts * push * np.stack(blown, axis=-1)[:, None]
 
     def slope(x: np.ndarray, part: int, k: int) -> np.ndarray:
         p, q, phi, theta = x
@@ -129,6 +139,43 @@ def on_headings(seed: int) -> Fit:
 def fitted(seed: int, *, one_wave: bool) -> Fit:
     """The default fit."""
     return MultipleShooting().fit(MODEL, records(seed, one_wave=one_wave))
+
+
+def in_gusts(seed: int, waves: float) -> Fit:
+    """The default fit of two runs in gusts of two times, 0.64 of the standard push, and waves."""
+    rng, found = np.random.default_rng(seed), []
+    for run, halves in enumerate(((11.0, 7.0), (5.0, 9.0))):
+        w, size, start = elevation(rng)
+        seas = [np.array([w, waves * size, start])] * 2
+        found.append(recorded(f"run {run}", rng, halves, seas, gusts=0.64))
+    return MultipleShooting().fit(MODEL, Dataset(tuple(found)))
+
+
+def assert_right(fit: Fit) -> None:
+    """Every parameter is within three of its standard errors."""
+    for name, value in TRUE.items():
+        assert abs(fit.values[name] - value) < 3.0 * fit.std_errors[name], name
+
+
+@pytest.mark.parametrize("seed", [1, *slow(3, 4, 5)])
+def test_waves_are_told_beside_gusts(seed: int) -> None:
+    """Waves alone explain no more than forces of first order; both together do far more."""
+    fit = in_gusts(seed, 0.8)
+    (sea,) = fit.noise.seas
+    assert sea.period == pytest.approx(PERIOD, rel=0.15)
+    assert sea.level == pytest.approx(0.8 * PUSH, rel=0.3)
+    assert fit.noise.force == pytest.approx(0.64 * PUSH, rel=0.4)
+    assert_right(fit)
+
+
+@pytest.mark.parametrize("seed", [7, *slow(1, 2)])
+def test_gusts_of_two_times_have_two(seed: int) -> None:
+    """No sea is taken for them; of seed 7 the times gain less than what is claimed costs."""
+    fit = in_gusts(seed, 0.0)
+    assert not fit.noise.seas
+    assert fit.noise.force_time == pytest.approx([3.0, 1.0], rel=0.4)
+    assert fit.noise.force == pytest.approx(0.64 * PUSH, rel=0.3)
+    assert_right(fit)
 
 
 def test_records_on_reciprocal_headings_have_seas_of_their_own() -> None:

@@ -440,7 +440,7 @@ class MultipleShooting:
         except SimulationError:  # the model itself diverges: the status says so
             return fit, None
         fit = replace(fit, process_noise=ProcessNoiseTest(test.gain))
-        if tests and _nothing_shows(test, starts, setting):
+        if tests and test.gain < TOLD_APART and not _astray(fit, setting):
             return fit, None
         test = replace(test, noise=_declared_levels(test.noise, declared))
         begun = (starts,) if task.carried is None else ([task.carried], starts)
@@ -653,15 +653,13 @@ def _failed(fit: Fit, code: str) -> Fit:
 
 
 def _starts(fit: Fit, setting: Setting) -> list[Start]:
-    """Where a fit with process noise begins: at the white fit, and where that may be far off."""
-    here = Start(fit.model.values, fit.initial_states, fit.local_values)
-    # Residuals beyond noise may have bent the values far off by what the fit takes for noise.
-    left = np.nan_to_num(np.array(list(fit.rms.values())) / setting.white, posinf=np.inf)
-    if np.isfinite(fit.cost) and left.max() <= CLEARLY:
-        return [here]
-    known = setting.known_starts
-    begin = Shooting(setting.model, fit.dataset, setting.white, known_starts=known)
+    """Where a fit with process noise begins: at the white fit, and at the values that were given.
+
+    What the white one takes for noise may have bent its values into a valley of their own.
+    """
+    begin = Shooting(setting.model, fit.dataset, setting.white, known_starts=setting.known_starts)
     nominal = Start.at(begin, begin.start_unknowns())
+    here = Start(fit.model.values, fit.initial_states, fit.local_values)
     return [here, nominal] if np.isfinite(fit.cost) else [nominal]
 
 
@@ -827,14 +825,13 @@ def _declared_levels(noise: NoiseModel, declared: Sequence[RandomProcess]) -> No
     return replace(noise, force=force, force_time=time)
 
 
-def _nothing_shows(test: ScoreTest, starts: Sequence[Start], setting: Setting) -> bool:
-    """Whether a test says that no process noise acts, where it can.
+def _astray(fit: Fit, setting: Setting) -> bool:
+    """Whether residuals are far above what the signals show of noise that nobody declared.
 
-    Where residuals are far above what the signals show of noise that nobody declared, the values
-    may have followed what disturbs them, and a test tells nothing there.
+    Values may have followed what disturbs them there, and a test of it tells nothing.
     """
-    astray = len(starts) > 1 and bool(setting.estimated.any())
-    return test.gain < TOLD_APART and not astray
+    beyond = np.array(list(fit.rms.values())) > CLEARLY * setting.white
+    return bool(setting.estimated.any() and (beyond.any() or not np.isfinite(fit.cost)))
 
 
 def _no_likelier(disturbed: Fit, white: Fit) -> bool:

@@ -21,9 +21,10 @@ A period is tested where the spectrum of the innovations may show more than whit
 states and parameters have followed: where ``T`` is below, what the likelihood gains at growing
 levels stands for it (:func:`_likeliest_sea`), no more than everything together would gain. Where
 either is beyond, resonators are estimated *instead* of the forces, first at the period of the test,
-then with everything together; three shapes compete, and the sea stays where it is clearly likelier.
-Forces of first order on top are asked last, because a wrong shape lets them in. Where these show
-nothing at the fit to white noise the same is asked there (:func:`sea_beside_white`).
+then with everything together; three shapes compete, and the sea stays where it is clearly likelier,
+or is beside them. Forces of first order on top are asked last, because a wrong shape lets them in.
+Where these show nothing at the fit to white noise the same is asked there
+(:func:`sea_beside_white`).
 """
 
 from __future__ import annotations
@@ -71,6 +72,9 @@ from oed_sysid.runtime.constants import BEYOND
 # of a sea, whose choice among periods and shapes may be worth two or three nats, and of one wave in
 # several places, each of which adds a phase and a share. Below, two starts are one.
 WORTH = 10.0
+# What one unknown more weighs in it where nothing is claimed of that (Akaike 1974, *A new look at
+# the statistical model identification*, IEEE Trans. Automatic Control 19, 716).
+AKAIKE = 2.0
 # Decades above these levels that are climbed for the likeliest, and the stride of the climb: where
 # a model hardly damps what disturbs it, records tell of levels far below those that act.
 DECADES, STRIDE = 21, 3
@@ -124,7 +128,8 @@ def fit_disturbed(
 
     Colour of sensors is admitted only where innovations without it are correlated from
     sample to sample; disturbances share one correlation time unless times of their own
-    are clearly likelier.
+    are likelier by the weight of these unknowns. Nothing is claimed of a time, and one
+    for all leaves stated errors too small where they differ.
 
     Parameters
     ----------
@@ -144,7 +149,12 @@ def fit_disturbed(
     if best.finite is None:
         return best
     best = admitted(best, setting)
-    return best if best is stayed or not polish else _polished(best, polish)
+    apart = admitted(best, setting, {own_times: AKAIKE})
+    if apart is stayed or not polish:
+        return apart
+    end = _polished(apart, polish)
+    # What frozen gains leave is more than this price: a part that ends nowhere was none.
+    return end if apart is best or end.reason == "converged" else _polished(best, polish)
 
 
 def _beginnings(setting: Setting, starts: Sequence[Start], test: ScoreTest) -> list[Iterate]:
@@ -538,13 +548,14 @@ def inputs_for_forces(found: FilteredSolution, setting: Setting) -> Filtered | N
 
 
 def own_times(found: FilteredSolution, setting: Setting) -> Filtered | None:
-    """A time of its own for every disturbance."""
+    """A time of its own for every disturbance that acts."""
     noise, levels = found.noise, found.problem.levels
     lasting = np.sum((noise.force > 0) & (noise.force_time > 0)) + len(levels.coloured)
     if not levels.shares_a_time or lasting < 2:
         return None
     problem = posed(found, setting, noise, own_times=True)
-    return problem if 2.0 * moved(found, problem, 0).promise >= WORTH else None
+    problem = problem.posed(problem.levels.without_forces(noise.force == 0))
+    return problem if 2.0 * moved(found, problem, 0).promise >= AKAIKE else None
 
 
 def beside_a_sea(found: FilteredSolution, setting: Setting) -> Filtered | None:
@@ -617,16 +628,15 @@ def without_tails(found: FilteredSolution, setting: Setting) -> Filtered | None:
 
 
 # Parts in the order in which they are asked for, and their prices: noise of inputs that takes the
-# place of forces may be less likely by what Akaike (1974) weighs the unknown that it has fewer, and
-# what has vanished always goes.
+# place of forces may be less likely by what the unknown that it has fewer weighs, and what has
+# vanished always goes.
 PARTS: Mapping[Proposal, float] = {
     autocorrelated_sensors: WORTH,
     zeros_of_sensors: WORTH,
     sensors_for_forces: WORTH,
     without_vanished: -np.inf,
     noisy_inputs: WORTH,
-    inputs_for_forces: -2.0,
-    own_times: WORTH,
+    inputs_for_forces: -AKAIKE,
 }
 
 
@@ -710,7 +720,11 @@ def with_sea(
     if sea.finite is None:
         return found
     if not setting.seas and not _clearly_a_sea(sea, found, setting):
-        return found
+        # Beside gusts waves alone may explain less than these; gusts may be of several times, too.
+        both = admitted(sea, setting, {beside_a_sea: WORTH})
+        gusts = admitted(found, setting, {own_times: AKAIKE})
+        if both is sea or not _clearly_a_sea(both, gusts, setting):
+            return found
     together = _of_each_record(admitted(sea, setting, {one_wave: 2.0 * WORTH}), setting)
     together = admitted(together, setting, {without_tails: 0.0})
     return together if setting.seas else admitted(together, setting, {beside_a_sea: WORTH})
