@@ -721,7 +721,7 @@ def with_sea(
         return found
     if not setting.seas and not _clearly_a_sea(sea, found, setting):
         # Beside gusts waves alone may explain less than these; gusts may be of several times, too.
-        both = admitted(sea, setting, {beside_a_sea: WORTH})
+        both = admitted(sea, setting, {one_wave: 2.0 * WORTH, beside_a_sea: WORTH})
         gusts = admitted(found, setting, {own_times: AKAIKE})
         if both is sea or not _clearly_a_sea(both, gusts, setting):
             return found
