@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -222,15 +222,22 @@ def _say_interpreted(reason: str) -> None:
 # -- C code of one model structure: CasADi functions, sizes and sparse updates --------------
 
 
-def _update(sparsity: ca.Sparsity, *, parameter: bool) -> str:
-    """C statements that add ``J @ source`` (or the columns of ``J``) to rows of a target."""
-    lines = []
-    for index, (row, column) in enumerate(zip(*sparsity.get_triplet(), strict=True)):
-        if parameter:
-            lines.append(f"PARAMETER({row}, {column}, v[{index}])")
-        else:
-            lines.append(f"add_scaled(target[{row}], v[{index}], source[{column}]);")
-    return " ".join(lines)
+def _products(target: str, n_rows: int, *terms: tuple[str, ca.Sparsity, str]) -> str:
+    """C statements that set rows to sums of sparse matrices (values, places) times other rows."""
+    sums: list[list[str]] = [[] for _ in range(n_rows)]
+    for values, sparsity, source in terms:
+        for index, (row, column) in enumerate(zip(*sparsity.get_triplet(), strict=True)):
+            sums[row].append(f"{values}[{index}] * FOUR({source}, {column})")
+    return " ".join(
+        f"FOUR({target}, {row}) = {' + '.join(one) or '(four_t){0.0}'};"
+        for row, one in enumerate(sums)
+    )
+
+
+def _parameters(target: str, values: str, sparsity: ca.Sparsity) -> str:
+    """C statements that add the derivatives by parameters to the columns of these."""
+    triplets = enumerate(zip(*sparsity.get_triplet(), strict=True))
+    return " ".join(f"PARAMETER({target}[{i}], {j}, {values}[{k}])" for k, (i, j) in triplets)
 
 
 def _fill(sparsity: ca.Sparsity) -> str:
@@ -277,12 +284,24 @@ def source(graph: Graph) -> str:
     begin = start.sparsity_out(1)
     sizes |= {"NNZ_START": begin.nnz(), "START_PLACES": _places(begin)}
     updates = (
-        _updates(actuate, "DDA DDP DAA DAP", sizes)
-        | _updates(rates, "JXX JXD JXP", sizes)
-        | _updates(observe, "JYX JYD JYS JYP JSX JSD JSS JSP", sizes)
+        _updates(
+            actuate, {"sd": {"dda": "sa", "ddp": ""}, "sa_next": {"daa": "sa", "dap": ""}}, sizes
+        )
+        | _updates(rates, {"sk": {"jxx": "s", "jxd": "sd", "jxp": ""}}, sizes)
+        | _updates(
+            observe,
+            {
+                "sy": {"jyx": "s", "jyd": "sd", "jys": "ss", "jyp": ""},
+                "snext": {"jsx": "s", "jsd": "sd", "jss": "ss", "jsp": ""},
+            },
+            sizes,
+        )
     )
     if model.integrator == "implicit":
         updates["FILL_JXX"] = _fill(rates.sparsity_out(1))
+        updates["ROWS_SK_BESIDE"] = _products(
+            "sk", graph.n_states, ("jxd", rates.sparsity_out(2), "sd")
+        )
         sizes |= {
             "IMPLICIT": 1,
             "STAGE_WEIGHTS": _braces(_braces(map(repr, row)) for row in STAGES),
@@ -294,16 +313,28 @@ def source(graph: Graph) -> str:
     defines = [f"#define {name} {value}" for name, value in (sizes | updates).items()]
     folder = files("oed_sysid.compiled")
     loops = [folder.joinpath(name).read_text() for name in ("trajectory.c", "filter.c")]
-    return "\n".join([generator.dump(), *defines, loops[0], "#ifdef FILTER", loops[1], "#endif"])
+    # Functions of the model are called from the loops alone: private, they become a part of these.
+    code = ["#define CASADI_SYMBOL_EXPORT static", generator.dump(), *defines, loops[0]]
+    return "\n".join([*code, "#ifdef FILTER", loops[1], "#endif"])
 
 
-def _updates(function: ca.Function, labels: str, sizes: dict[str, Any]) -> dict[str, str]:
-    """C statements that apply the derivatives of a function, its last results; sizes noted."""
-    names, updates = labels.split(), {}
-    for index, label in enumerate(names, start=function.n_out() - len(names)):
-        sparsity = function.sparsity_out(index)
-        sizes[f"NNZ_{label}"] = sparsity.nnz()
-        updates[f"UPDATE_{label}"] = _update(sparsity, parameter=label.endswith("P"))
+def _updates(
+    function: ca.Function, targets: Mapping[str, Mapping[str, str]], sizes: dict[str, Any]
+) -> dict[str, str]:
+    """C statements that apply the derivatives of a function, its last results; sizes noted.
+
+    Rows, the ``targets``, are sums of Jacobians times other rows, and of a Jacobian by parameters,
+    which stands behind these, without rows.
+    """
+    updates, index = {}, len(targets)
+    for target, factors in targets.items():
+        places = {name: function.sparsity_out(index + i) for i, name in enumerate(factors)}
+        index += len(factors)
+        sizes |= {f"NNZ_{name.upper()}": one.nnz() for name, one in places.items()}
+        last, by_parameters = [*places.items()][-1]
+        products = [(name, places[name], rows) for name, rows in factors.items() if rows]
+        updates[f"ROWS_{target.upper()}"] = _products(target, by_parameters.size1(), *products)
+        updates[f"PARAMETERS_{target.upper()}"] = _parameters(target, last, by_parameters)
     return updates
 
 

@@ -46,15 +46,21 @@ static _Thread_local const int *column_of;
 #define COLUMNS chosen
 #define active_width(n) (chosen = (n), active = ((n) + 3) & ~3)
 #define PARAMETER(row, index, value) \
-    if (column_of[index] >= 0) target[row][column_of[index]] += value;
+    if (column_of[index] >= 0) row[column_of[index]] += value;
 #else
 #define ACTIVE WIDTH
 #define COLUMNS NC
-#define PARAMETER(row, index, value) target[row][NZ + index] += value;
+#define PARAMETER(row, index, value) row[NZ + index] += value;
 #endif
 
 /* Four numbers at a time: the columns in use are whole vectors. */
 typedef double four_t __attribute__((vector_size(32), aligned(8)));
+
+/* Products of sparse Jacobians and rows, whose statements are generated: all rows of a target, four
+ * columns at a time, from column j. */
+#define FOUR(rows, i) (*(four_t *)((rows)[i] + j))
+#define PRODUCTS(statements) \
+    for (int j = 0, width = ACTIVE; j < width; j += 4) { statements }
 
 /* Zeros in the columns in use. */
 static inline void clear_rows(row_t *rows, int n)
@@ -73,15 +79,6 @@ static inline void step_rows(row_t *restrict target, const row_t *base, double f
         for (int j = 0; j < width; j += 4)
             *(four_t *)(target[i] + j) =
                 *(const four_t *)(base[i] + j) + factor * *(const four_t *)(rate[i] + j);
-}
-
-/* target += factor source, in the columns in use; derivatives by what is absent are zero. */
-static inline void add_scaled(double *restrict target, double factor, const double *restrict source)
-{
-    const int width = ACTIVE;
-    if (factor == 0.0) return;
-    for (int j = 0; j < width; j += 4)
-        *(four_t *)(target + j) += factor * *(const four_t *)(source + j);
 }
 
 /* target <- source, in the columns in use. */
@@ -124,14 +121,12 @@ static void actuate_stage(const double *memory, const double *input, const doubl
     double dda[MAX1(NNZ_DDA)], ddp[MAX1(NNZ_DDP)], daa[MAX1(NNZ_DAA)], dap[MAX1(NNZ_DAP)];
     double *res[8] = {d, memory_next, dda, ddp, daa, dap};
     actuate_jac(arg, res, iw, w, 0);
-    clear_rows(sd, ND);
-    { const row_t *source = s + NX; row_t *target = sd; const double *v = dda; UPDATE_DDA }
-    { row_t *target = sd; const double *v = ddp; UPDATE_DDP }
+    const row_t *sa = s + NX;
+    PRODUCTS(ROWS_SD)
+    PARAMETERS_SD
     if (!sa_next) return;
-    clear_rows(sa_next, NA);
-    { const row_t *source = s + NX; row_t *target = sa_next; const double *v = daa; UPDATE_DAA }
-    { row_t *target = sa_next; const double *v = dap; UPDATE_DAP }
-    (void)s; (void)dda; (void)ddp; (void)daa; (void)dap;
+    PRODUCTS(ROWS_SA_NEXT)
+    PARAMETERS_SA_NEXT
 }
 
 /* Rates and the rows k = A s + B sd + C. */
@@ -149,11 +144,8 @@ static void rates_stage(const double *x, const double *d, const double *p, doubl
     double jxx[MAX1(NNZ_JXX)], jxd[MAX1(NNZ_JXD)], jxp[MAX1(NNZ_JXP)];
     double *res[8] = {k, jxx, jxd, jxp};
     rates_jac(arg, res, iw, w, 0);
-    clear_rows(sk, NX);
-    { const row_t *source = s; row_t *target = sk; const double *v = jxx; UPDATE_JXX }
-    { const row_t *source = sd; row_t *target = sk; const double *v = jxd; UPDATE_JXD }
-    { row_t *target = sk; const double *v = jxp; UPDATE_JXP }
-    (void)sd; (void)jxd; (void)jxp;
+    PRODUCTS(ROWS_SK)
+    PARAMETERS_SK
 }
 
 #ifdef IMPLICIT
@@ -227,10 +219,9 @@ static void implicit_stage(double *x, const double *base, const double *d, const
         /* The rows of an exact solution need its own Jacobian, hence one round more. */
         if (arrived) {
             if (!with_sensitivities) return;
-            clear_rows(sx, NX);
-            { const row_t *source = sd; row_t *target = sx; const double *v = jxd; UPDATE_JXD
-              (void)source; (void)target; (void)v; }
-            { row_t *target = sx; const double *v = jxp; UPDATE_JXP (void)target; (void)v; }
+            row_t *sk = sx; /* without A, which is in the matrix */
+            PRODUCTS(ROWS_SK_BESIDE)
+            PARAMETERS_SK
             for (int i = 0; i < NX; ++i)
                 for (int j = 0; j < ACTIVE; ++j) sx[i][j] = sbase[i][j] + hg * sx[i][j];
             solve_factors(matrix, pivot, sx[0], ACTIVE, WIDTH);
@@ -370,21 +361,12 @@ static ONCE void sample_step(double *z, row_t *s, const double *input, const dou
         double jsx[MAX1(NNZ_JSX)], jsd[MAX1(NNZ_JSD)], jss[MAX1(NNZ_JSS)], jsp[MAX1(NNZ_JSP)];
         double *res[12] = {y, next, jyx, jyd, jys, jyp, jsx, jsd, jss, jsp};
         observe_jac(arg, res, iw, w, 0);
-        const row_t *sx = (const row_t *)s, *ss = (const row_t *)(s + NX + NA);
-        const row_t *sdc = (const row_t *)sd;
-        clear_rows(sy, NY);
-        clear_rows(snext, NS);
-        { const row_t *source = sx; row_t *target = sy; const double *v = jyx; UPDATE_JYX }
-        { const row_t *source = sdc; row_t *target = sy; const double *v = jyd; UPDATE_JYD }
-        { const row_t *source = ss; row_t *target = sy; const double *v = jys; UPDATE_JYS }
-        { row_t *target = sy; const double *v = jyp; UPDATE_JYP }
-        { const row_t *source = sx; row_t *target = snext; const double *v = jsx; UPDATE_JSX }
-        { const row_t *source = sdc; row_t *target = snext; const double *v = jsd; UPDATE_JSD }
-        { const row_t *source = ss; row_t *target = snext; const double *v = jss; UPDATE_JSS }
-        { row_t *target = snext; const double *v = jsp; UPDATE_JSP }
+        const row_t *ss = (const row_t *)(s + NX + NA);
+        PRODUCTS(ROWS_SY)
+        PARAMETERS_SY
+        PRODUCTS(ROWS_SNEXT)
+        PARAMETERS_SNEXT
         take_rows(s + NX + NA, (const row_t *)snext, NS);
-        (void)sx; (void)ss; (void)sdc;
-        (void)jyd; (void)jys; (void)jyp; (void)jsx; (void)jsd; (void)jss; (void)jsp;
     }
     for (int i = 0; i < NS; ++i) z[NX + NA + i] = next[i];
 }
