@@ -43,6 +43,7 @@ from oed_sysid.runtime.files import cache_folder, private, private_cache
 # Flags of the user come last, so that they count: -Og compiles in a third of the time.
 _FLAGS = (
     *("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w"),
+    "-fno-semantic-interposition",  # no other library replaces functions of this one
     *os.environ.get("OED_SYSID_CFLAGS", "").split(),
 )
 

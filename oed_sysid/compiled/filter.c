@@ -88,8 +88,8 @@ typedef struct {
     double *value;
 } transition_t;
 
-/* Some vectors of row i of F source. */
-static inline __attribute__((always_inline)) void moved_block(double *restrict target,
+/* Some vectors of row i of F source; in the target they stand `apart`. */
+static inline __attribute__((always_inline)) void moved_block(double *restrict target, int apart,
                                                               const transition_t *f, int i,
                                                               const double *restrict source,
                                                               int stride, const int n)
@@ -101,62 +101,68 @@ static inline __attribute__((always_inline)) void moved_block(double *restrict t
         for (int j = 0; j < n; ++j) sum[j] += value * *(const four_t *)(from + 4 * j);
     }
     UNROLLED
-    for (int j = 0; j < n; ++j) *(four_t *)(target + 4 * j) = sum[j];
+    for (int j = 0; j < n; ++j) *(four_t *)(target + (size_t)j * apart) = sum[j];
 }
 
-/* target <- F source, its first n rows; both have a stride of width. */
-static ONCE void moved(double *target, const transition_t *f, int n, const double *source, int width)
+/* Row i of F source, its first vectors. */
+static inline __attribute__((always_inline)) void moved_row(double *target, int apart,
+                                                            const transition_t *f, int i,
+                                                            const double *source, int stride,
+                                                            int vectors)
 {
-    for (int i = 0; i < n; ++i) {
-        double *to = target + (size_t)i * width;
-        int j = 0;
-        for (; j + 32 <= width; j += 32) moved_block(to + j, f, i, source + j, width, 8);
-        for (; j + 16 <= width; j += 16) moved_block(to + j, f, i, source + j, width, 4);
-        for (; j + 8 <= width; j += 8) moved_block(to + j, f, i, source + j, width, 2);
-        if (j < width) moved_block(to + j, f, i, source + j, width, 1);
-    }
+#define BLOCKS(n)                                                                                  \
+    for (; vectors >= n; vectors -= n, source += 4 * n, target += (size_t)n * apart)               \
+        moved_block(target, apart, f, i, source, stride, n);
+    BLOCKS(8) BLOCKS(4) BLOCKS(2) BLOCKS(1)
+#undef BLOCKS
 }
 
-/* Tangents of all levels stand side by side, a level a lane: of entry (i, j) of a covariance at
- * PAIR(i, j), from its lower triangle. What is done to one is done to all, a vector at a time. */
+/* target <- F source, its first n rows; of the source they have a stride of width. */
+static ONCE void moved(double *target, int stride, const transition_t *f, int n, const double *source,
+                       int width)
+{
+    for (int i = 0; i < n; ++i)
+        moved_row(target + (size_t)i * stride, 4, f, i, source, width, width / 4);
+}
+
+/* Tangents of four levels stand side by side as the entries of one matrix, of which the lower triangle
+ * counts: what is done to one is done to all. Entry (i, j) is at PAIR(i, j). */
 #define PAIR(i, j, size) ((i) >= (j) ? (i) * (size) + (j) : (j) * (size) + (i))
 
-/* target <- (source)', of all levels; in place the upper triangle from the lower one. */
-static ONCE void turn_lanes(double *target, const double *source, int size, int lanes)
+/* dP <- F dP F' of four levels, by way of its transpose F dP. */
+static ONCE void moved_levels(four_t *dP, const transition_t *f, four_t *across)
 {
-    for (int i = 0; i < size; ++i) {
-        const double *from = source + (size_t)i * size * lanes;
-        const int n = target == source ? i : size;
-        for (int j = 0; j < n; ++j, from += lanes) {
-            double *to = target + (size_t)(j * size + i) * lanes;
-            for (int l = 0; l < lanes; l += 4) *(four_t *)(to + l) = *(const four_t *)(from + l);
-        }
-    }
+    const int size = f->size, stride = 4 * size;
+    for (int i = 0; i < size; ++i)
+        for (int j = 0; j < i; ++j) dP[j * size + i] = dP[i * size + j];
+    for (int i = 0; i < size; ++i)
+        moved_row((double *)(across + i), stride, f, i, (double *)dP, stride, size);
+    for (int i = 0; i < size; ++i)
+        moved_row((double *)(dP + i * size), 4, f, i, (double *)across, stride, i + 1);
 }
 
 /* Tangents dP of the covariance through a scalar measurement, and what the change of the gain adds
- * to those dm of the mean; q has that of S for a change of the white noise alone, and then d log S. */
-static ONCE void measure_levels(double *restrict dP, double *restrict dm, int stride,
+ * to those dm of the mean, all of four levels; q has that of S for a change of the white noise
+ * alone, and then d log S. */
+static ONCE void measure_levels(four_t *restrict dP, double *restrict dm, int stride,
                                 double *restrict q, const sparse_t *h, const double *restrict g,
-                                double e, double inverse, int moves, int corrects, int size, int lanes)
+                                double e, double inverse, int moves, int corrects, int size)
 {
-    four_t v[MAX1(NZ) + RANDOM];
-    for (int l = 0; l < lanes; l += 4) {
-        four_t own = *(four_t *)(q + l);
-        for (int j = 0; j < size; ++j) v[j] = (four_t){0.0, 0.0, 0.0, 0.0};
-        for (int r = 0; r < h->n; ++r)
-            for (int j = 0; j < size; ++j)
-                v[j] += h->value[r] * *(four_t *)(dP + (size_t)PAIR(h->index[r], j, size) * lanes + l);
-        for (int r = 0; r < h->n; ++r) own += h->value[r] * v[h->index[r]];
-        *(four_t *)(q + l) = own *= inverse;
-        for (int r = 0; r < (moves ? size : 0); ++r) {
-            const four_t a = (v[r] - g[r] * own) * inverse;
-            const double b = g[r] * inverse;
-            const int n = corrects ? r + 1 : 0; /* without a covariance only means move */
-            double *entry = dP + (size_t)r * size * lanes + l;
-            *(four_t *)(dm + (size_t)r * stride + l) += e * a;
-            for (int c = 0; c < n; ++c, entry += lanes) *(four_t *)entry -= g[c] * a + b * v[c];
-        }
+    four_t v[MAX1(NZ) + RANDOM], own = *(four_t *)q;
+    for (int j = 0; j < size; ++j) v[j] = (four_t){0.0, 0.0, 0.0, 0.0};
+    for (int r = 0; r < h->n; ++r) {
+        const int at = h->index[r];
+        for (int j = 0; j < at; ++j) v[j] += h->value[r] * dP[at * size + j];
+        for (int j = at; j < size; ++j) v[j] += h->value[r] * dP[j * size + at];
+    }
+    for (int r = 0; r < h->n; ++r) own += h->value[r] * v[h->index[r]];
+    *(four_t *)q = own *= inverse;
+    for (int r = 0; r < (moves ? size : 0); ++r) {
+        const four_t a = (v[r] - g[r] * own) * inverse;
+        const double b = g[r] * inverse;
+        const int n = corrects ? r + 1 : 0; /* without a covariance only means move */
+        *(four_t *)(dm + (size_t)r * stride) += e * a;
+        for (int c = 0; c < n; ++c) dP[r * size + c] -= g[c] * a + b * v[c];
     }
 }
 
@@ -201,7 +207,7 @@ static ONCE void keep_move(double *target, const transition_t *f, int step, doub
     for (int i = 0; i < size; ++i)
         for (int j = 0; j < size; ++j)
             before[(size_t)i * stride + j] = step ? target[(size_t)i * size + j] : i == j;
-    moved(after, f, size, before, stride);
+    moved(after, stride, f, size, before, stride);
     for (int i = 0; i < size; ++i)
         memcpy(target + (size_t)i * size, after + (size_t)i * stride, sizeof(double) * size);
 }
@@ -230,9 +236,9 @@ static ONCE void keep_transition(transition_t *f, const row_t *s, const int *unc
     f->first[f->rows] = count;
 }
 
-/* Lane l of the tangents, for a change of phi: dm += dF m and dP += dF P F' + F P dF'; FP, of the
+/* Tangents of level l, for a change of phi: dm += dF m and dP += dF P F' + F P dF'; FP, of the
  * covariance before the step, and dm have a stride. */
-static void add_changed_memory(double *dP, double *dm, int l, int lanes, int na, int nr, int size,
+static void add_changed_memory(four_t *dP, double *dm, int l, int na, int nr, int size,
                                const double *change, const double *FP, int stride, const double *mean)
 {
     sparse_t by;
@@ -243,9 +249,18 @@ static void add_changed_memory(double *dP, double *dm, int l, int lanes, int na,
         if (by.n == 0) continue;
         dm[(size_t)i * stride + l] += dot_sparse(&by, mean);
         for (int j = 0; j < size; ++j)
-            dP[(size_t)PAIR(i, j, size) * lanes + l] +=
+            dP[PAIR(i, j, size)][l % 4] +=
                 (i == j ? 2.0 : 1.0) * dot_sparse(&by, FP + (size_t)j * stride);
     }
+}
+
+/* Tangents dP of every four levels, `apart`, += those of the random components' own covariance. */
+static void add_random(four_t *dP, size_t apart, const double *by, int na, int nr, int size, int lanes)
+{
+    for (int l = 0; l < lanes; l += 4, dP += apart)
+        for (int i = 0; i < nr; ++i)
+            for (int j = 0; j <= i; ++j)
+                dP[(na + i) * size + na + j] += *(const four_t *)(by + ((size_t)i * nr + j) * lanes + l);
 }
 
 /* fresh <- D - phi D phi', its lower triangle, of some lanes side by side; phi are rows of F. */
@@ -303,8 +318,9 @@ size_t kernel_filter_work(int na, int more, int nq, int nr, int nx, int nl)
 {
     const size_t size = na + nr, rows = size + more, stride = round4((int)size), lanes = round4(nl);
     const size_t width = stride + round4(nx) + lanes, wide = round4(nx + nl + 1);
-    return rows * (2 * width + stride) + 3 * rows * size * lanes + width + 2 * stride +
-           (size_t)nr * nr * (lanes + 1) + (size_t)nr * (lanes + 1) + (size_t)(na + more) * (na + nq + more) + (size_t)STATES * nr +
+    return rows * 2 * width + rows * stride + rows * size * (lanes + 4) + width + 2 * stride +
+           (size_t)nr * nr * (lanes + 1) + (size_t)nr * (lanes + 1) +
+           (size_t)(na + more) * (na + nq + more) + (size_t)STATES * nr +
            (2 * NY + 1 + lanes + wide) * wide;
 }
 
@@ -349,11 +365,11 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
     const int m = na + nq, tail = m + ncol, size = na + nr, n_rows = size + more;
     const int stride = round4(size), lanes = round4(nl), c_levels = stride + round4(nx);
     const int joint = c_levels + lanes, width = nx + nl + 1, wide = round4(width);
-    const size_t block_moves = (size_t)(size + nq) * size, tangents = (size_t)size * lanes;
+    const size_t block_moves = (size_t)(size + nq) * size, four_levels = (size_t)n_rows * size;
     double *J = work, *Jnext = J + (size_t)n_rows * joint;
-    double *across = Jnext + (size_t)n_rows * joint, *dP = across + (size_t)n_rows * stride;
-    double *dPnext = dP + n_rows * tangents, *dPacross = dPnext + n_rows * tangents;
-    double *c = dPacross + n_rows * tangents, *delta = c + joint, *mean = delta + stride;
+    double *across = Jnext + (size_t)n_rows * joint;
+    four_t *dP = (four_t *)(across + (size_t)n_rows * stride), *dPacross = dP + lanes / 4 * four_levels;
+    double *c = (double *)(dPacross + four_levels), *delta = c + joint, *mean = delta + stride;
     double *fresh = mean + stride, *d_fresh = fresh + (size_t)nr * nr;
     double *lanes_across = d_fresh + (size_t)nr * nr * lanes;
     double *entries = lanes_across + (size_t)nr * (lanes + 1);
@@ -368,8 +384,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
     double z[MAX1(NZ)], seen[MAX1(NZ)], y[MAX1(NY)], p[MAX1(NP)];
     SCRATCH row_t s[MAX1(NZ)], sy[MAX1(NY)];
     double sum_log = 0.0, sum_square = 0.0, product_s = 1.0;
-    active_width(c_passing + more);
-    column_of = columns;
+    const columns_t chosen = {c_passing + more, round4(c_passing + more), columns};
     memset(work, 0, sizeof(double) * (size_t)(gram + (size_t)wide * wide - work));
     memcpy(z, z0, sizeof(double) * NZ);
     memcpy(p, p0, sizeof(double) * NP);
@@ -378,12 +393,9 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
         place[l] = l < na ? l : l < m ? c_disturbance + q_column[l - na] : c_passing + l - m;
     for (int i = 0; i < na + more; ++i)
         memcpy(J + (size_t)(i < na ? i : i + nr) * joint + stride, x0 + (size_t)i * nx, sizeof(double) * nx);
-    for (int i = 0; i < nr; ++i) {
+    for (int i = 0; i < nr; ++i)
         memcpy(J + (size_t)(na + i) * joint + na, stationary + (size_t)i * nr, sizeof(double) * nr);
-        for (int j = 0; j <= i && nl > 0; ++j)
-            axpy(dP + (size_t)PAIR(na + i, na + j, size) * lanes, 1.0,
-                 d_stationary + ((size_t)i * nr + j) * lanes, lanes);
-    }
+    add_random(dP, four_levels, d_stationary, na, nr, size, lanes);
     for (int i = 0; i < na; ++i) sensors_remember |= uncertain[i] >= NX + NA;
     for (int k = 0; k < n; ++k) {
         const double *input = inputs + (size_t)k * NU;
@@ -396,9 +408,9 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             for (int j = 0; j < nq; ++j)
                 memcpy(moves_out + (size_t)k * block_moves + (size_t)(size + j) * size,
                        J + (size_t)(na + j) * joint, sizeof(double) * size);
-        clear_rows(s, NZ);
+        clear_rows(s, NZ, &chosen);
         for (int i = 0; i < na + more; ++i) s[uncertain[i]][i < na ? i : c_passing + i - na] = 1.0;
-        sample_step(seen, s, input, p, times[k], since, y, sy, 1);
+        sample_step(seen, s, input, p, times[k], since, y, sy, &chosen);
         for (int i = 0; i < stride; ++i) delta[i] = 0.0;
         int n_seen = 0;
         for (int i = 0; i < NY; ++i) {
@@ -440,10 +452,10 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             row[nx + nl] = root * e;
             if (!missing)
                 for (int r = 0; r < size; ++r) axpy(J + (size_t)r * joint, -g[r] * inverse, c, joint);
-            if (nl > 0) {
-                memcpy(q, d_white + (size_t)i * lanes, sizeof(double) * lanes);
-                measure_levels(dP, J + c_levels, joint, q, &h, g, e, inverse, !missing,
-                               explained != 0.0, size, lanes);
+            for (int l = 0; l < lanes; l += 4) {
+                *(four_t *)(q + l) = *(const four_t *)(d_white + (size_t)i * lanes + l);
+                measure_levels(dP + l / 4 * four_levels, J + c_levels + l, joint, q + l, &h, g, e,
+                               inverse, !missing, explained != 0.0, size);
             }
             if (rows_out) {
                 double *target = rows_out + ((size_t)k * NY + i) * (nx + 2 * nl);
@@ -482,15 +494,16 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             double inner_times[2], inner_inputs[2 * MAX1(NU)];
             part_of_interval(times + k, input, step, steps, inner_times, inner_inputs);
             let_act(p, nq, q_index, mean + na);
-            clear_rows(s, NZ);
+            clear_rows(s, NZ, &chosen);
             for (int i = 0; i < na + more; ++i)
                 s[uncertain[i]][i < na ? i : c_passing + i - na] = 1.0;
             /* Sensor memory moves on with what is known after the measurement. */
             if (sensors_remember)
-                sample_step(z, s, inner_inputs, p, inner_times[0], step ? within : since, y, sy, 1);
+                sample_step(z, s, inner_inputs, p, inner_times[0], step ? within : since, y, sy,
+                            &chosen);
             else if (step == 0) /* that of sensors without an error, which nothing reads */
                 memcpy(z + NX + NA, seen + NX + NA, sizeof(double) * NS);
-            advance_interval(z, s, inner_times, inner_inputs, p, h_max, 0, sensors_remember, 1);
+            advance_interval(z, s, inner_times, inner_inputs, p, h_max, 0, sensors_remember, &chosen);
             keep_transition(&f, (const row_t *)s, uncertain, place, phi, na, nq, nr);
             if (now != last) {
                 last = now;
@@ -501,7 +514,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                                  lanes_across);
             }
             if (moves_out) keep_move(moves_out + (size_t)k * block_moves, &f, step, across, Jnext);
-            moved(Jnext, &f, n_rows, J, joint);
+            moved(Jnext, joint, &f, n_rows, J, joint);
             double *before = J;
             J = Jnext;
             Jnext = before;
@@ -510,25 +523,15 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                 for (int j = 0; j < np; ++j) row[stride + nx - np + j] += s[uncertain[i]][c_parameter + j];
                 if (i >= na) memset(row, 0, sizeof(double) * stride); /* is certain */
             }
-            if (nl > 0) {
-                turn_lanes(dP, dP, size, lanes);
-                moved(dPnext, &f, size, dP, (int)tangents);
-                turn_lanes(dPacross, dPnext, size, lanes);
-                moved(dP, &f, size, dPacross, (int)tangents);
-            }
-            for (int i = 0; i < nr && nl > 0; ++i)
-                for (int j = 0; j <= i; ++j)
-                    axpy(dP + (size_t)PAIR(na + i, na + j, size) * lanes, 1.0,
-                         d_fresh + ((size_t)i * nr + j) * lanes, lanes);
+            for (int l = 0; l < lanes / 4; ++l) moved_levels(dP + l * four_levels, &f, dPacross);
+            add_random(dP, four_levels, d_fresh, na, nr, size, lanes);
             for (int l = 0; l < nm; ++l)
-                add_changed_memory(dP, J + c_levels, l_moving[l], lanes, na, nr, size, d_phi + l * square,
-                                   J, joint, mean);
+                add_changed_memory(dP + l_moving[l] / 4 * four_levels, J + c_levels, l_moving[l], na, nr,
+                                   size, d_phi + l * square, J, joint, mean);
             /* P = F (F P)' + Q. */
             for (int i = 0; i < size; ++i)
                 for (int j = 0; j < size; ++j) across[(size_t)j * stride + i] = J[(size_t)i * joint + j];
-            moved(Jnext, &f, size, across, stride);
-            for (int i = 0; i < size; ++i)
-                memcpy(J + (size_t)i * joint, Jnext + (size_t)i * stride, sizeof(double) * stride);
+            moved(J, joint, &f, size, across, stride);
             for (int i = 0; i < nr; ++i)
                 for (int j = 0; j < nr; ++j)
                     J[(size_t)(na + i) * joint + na + j] += fresh[PAIR(i, j, nr)];
@@ -577,7 +580,7 @@ int kernel_replay(int n, const double *times, const double *inputs, const double
         for (int i = 0; i < NZ; ++i) check += z[i];
         if (!(fabs(check) < DIVERGED)) return k;
         memcpy(seen, z, sizeof z);
-        sample_step(seen, NULL, input, p, times[k], since, y, NULL, 0);
+        sample_step(seen, NULL, input, p, times[k], since, y, NULL, NULL);
         for (int i = 0; i < size; ++i) delta[i] = 0.0;
         for (int i = 0; i < NY; ++i) {
             const double value = measured[(size_t)k * NY + i];
@@ -603,8 +606,8 @@ int kernel_replay(int n, const double *times, const double *inputs, const double
             let_act(p, nq, q_index, mean + na);
             if (NS > 0)
                 sample_step(z, NULL, inner_inputs, p, inner_times[0], step ? within : since, y,
-                            NULL, 0);
-            advance_interval(z, NULL, inner_times, inner_inputs, p, h_max, 0, NS > 0, 0);
+                            NULL, NULL);
+            advance_interval(z, NULL, inner_times, inner_inputs, p, h_max, 0, NS > 0, NULL);
             const int now = which[2 * k + (step + 1 == steps)];
             remember(mean + na, memory + (size_t)now * nr * nr, nr, delta);
         }

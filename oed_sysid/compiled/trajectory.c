@@ -38,15 +38,18 @@ typedef double row_t[WIDTH] __attribute__((aligned(32)));
 #define SCRATCH static _Thread_local
 #endif
 
-/* Columns in use: chosen at run time, rounded up to whole vectors, or all. */
+/* Columns of sensitivities: how many, the same in whole vectors, and where each parameter's stands,
+ * or none where that is negative. Chosen at run time, or all. */
+typedef struct {
+    int count, width;
+    const int *of;
+} columns_t;
+
 #ifdef SELECT
-static _Thread_local int active, chosen;
-static _Thread_local const int *column_of;
-#define ACTIVE active
-#define COLUMNS chosen
-#define active_width(n) (chosen = (n), active = ((n) + 3) & ~3)
+#define ACTIVE (columns->width)
+#define COLUMNS (columns->count)
 #define PARAMETER(row, index, value) \
-    if (column_of[index] >= 0) row[column_of[index]] += value;
+    if (columns->of[index] >= 0) row[columns->of[index]] += value;
 #else
 #define ACTIVE WIDTH
 #define COLUMNS NC
@@ -63,7 +66,7 @@ typedef double four_t __attribute__((vector_size(32), aligned(8)));
     for (int j = 0, width = ACTIVE; j < width; j += 4) { statements }
 
 /* Zeros in the columns in use. */
-static inline void clear_rows(row_t *rows, int n)
+static inline void clear_rows(row_t *rows, int n, const columns_t *columns)
 {
     const int width = ACTIVE;
     for (int i = 0; i < n; ++i)
@@ -72,7 +75,7 @@ static inline void clear_rows(row_t *rows, int n)
 
 /* target <- base + factor rate, in the columns in use. */
 static inline void step_rows(row_t *restrict target, const row_t *base, double factor,
-                             const row_t *rate, int n)
+                             const row_t *rate, int n, const columns_t *columns)
 {
     const int width = ACTIVE;
     for (int i = 0; i < n; ++i)
@@ -82,7 +85,8 @@ static inline void step_rows(row_t *restrict target, const row_t *base, double f
 }
 
 /* target <- source, in the columns in use. */
-static inline void take_rows(row_t *restrict target, const row_t *source, int n)
+static inline void take_rows(row_t *restrict target, const row_t *source, int n,
+                             const columns_t *columns)
 {
     const int width = ACTIVE;
     for (int i = 0; i < n; ++i)
@@ -91,7 +95,7 @@ static inline void take_rows(row_t *restrict target, const row_t *source, int n)
 }
 
 /* Rows without their padding. */
-static inline void copy_rows(double *target, const row_t *rows, int n)
+static inline void copy_rows(double *target, const row_t *rows, int n, const columns_t *columns)
 {
     const int count = COLUMNS;
     for (int i = 0; i < n; ++i) memcpy(target + (size_t)i * count, rows[i], sizeof(double) * count);
@@ -108,12 +112,12 @@ static void inputs_between(const double *start, const double *end, double fracti
  * sa_next may be NULL. */
 static void actuate_stage(const double *memory, const double *input, const double *p, double t,
                           double h, double *d, double *memory_next, const row_t *s,
-                          row_t *sd, row_t *sa_next, int with_sensitivities)
+                          row_t *sd, row_t *sa_next, const columns_t *columns)
 {
     double w[MAX1(W_ACTUATE)];
     casadi_int iw[MAX1(IW_ACTUATE)];
     const double *arg[8] = {memory, input, p, &t, &h};
-    if (!with_sensitivities) {
+    if (!columns) {
         double *res[4] = {d, memory_next};
         actuate(arg, res, iw, w, 0);
         return;
@@ -131,12 +135,12 @@ static void actuate_stage(const double *memory, const double *input, const doubl
 
 /* Rates and the rows k = A s + B sd + C. */
 static void rates_stage(const double *x, const double *d, const double *p, double t, double *k,
-                        const row_t *s, const row_t *sd, row_t *sk, int with_sensitivities)
+                        const row_t *s, const row_t *sd, row_t *sk, const columns_t *columns)
 {
     double w[MAX1(W_RATES)];
     casadi_int iw[MAX1(IW_RATES)];
     const double *arg[8] = {x, d, p, &t};
-    if (!with_sensitivities) {
+    if (!columns) {
         double *res[2] = {k};
         rates(arg, res, iw, w, 0);
         return;
@@ -198,7 +202,7 @@ static void solve_factors(const double m[MAX1(NX)][MAX1(NX)], const int *pivot, 
  * those of base. Newton's method with the exact Jacobian; NaN where it does not arrive. */
 static void implicit_stage(double *x, const double *base, const double *d, const double *p,
                            double t, double hg, row_t *sx, const row_t *sbase, const row_t *sd,
-                           int with_sensitivities)
+                           const columns_t *columns)
 {
     double w[MAX1(W_RATES)], k[MAX1(NX)], step[MAX1(NX)], matrix[MAX1(NX)][MAX1(NX)];
     double jxx[MAX1(NNZ_JXX)], jxd[MAX1(NNZ_JXD)], jxp[MAX1(NNZ_JXP)];
@@ -218,7 +222,7 @@ static void implicit_stage(double *x, const double *base, const double *d, const
         if (!factorize(matrix, pivot)) break;
         /* The rows of an exact solution need its own Jacobian, hence one round more. */
         if (arrived) {
-            if (!with_sensitivities) return;
+            if (!columns) return;
             row_t *sk = sx; /* without A, which is in the matrix */
             PRODUCTS(ROWS_SK_BESIDE)
             PARAMETERS_SK
@@ -234,14 +238,14 @@ static void implicit_stage(double *x, const double *base, const double *d, const
             x[i] += step[i];
             if (!(fabs(step[i]) <= NEWTON_STEP * size + NEWTON_FLOOR)) arrived = 0;
         }
-        if (arrived && !with_sensitivities) return;
+        if (arrived && !columns) return;
     }
     for (int i = 0; i < NX; ++i) x[i] = NAN;
 }
 
 /* One integration step of length h by three diagonally implicit stages; z and s are replaced. */
 static void advance_step(double *z, row_t *s, const double *start, const double *end,
-                         const double *p, double t, double h, int with_sensitivities)
+                         const double *p, double t, double h, const columns_t *columns)
 {
     static const double weights[3][3] = STAGE_WEIGHTS, fractions[3] = STAGE_FRACTIONS;
     double input[MAX1(NU)], d[MAX1(ND)], memory[MAX1(NA)];
@@ -249,19 +253,19 @@ static void advance_step(double *z, row_t *s, const double *start, const double 
     SCRATCH row_t sd[MAX1(ND)], sa[MAX1(NA)], sbase[MAX1(NX)], sx[MAX1(NX)], sk[2][MAX1(NX)];
     const double hg = h * fractions[0];
     inputs_between(start, end, 0.5, input);
-    actuate_stage(z + NX, input, p, t, h, d, memory, (const row_t *)s, sd, sa, with_sensitivities);
+    actuate_stage(z + NX, input, p, t, h, d, memory, (const row_t *)s, sd, sa, columns);
     memcpy(x, z, sizeof(double) * NX);
     for (int stage = 0; stage < 3; ++stage) {
         if (ANY_LINEAR_INPUT) {
             inputs_between(start, end, fractions[stage], input);
             actuate_stage(z + NX, input, p, t, h, d, NULL, (const row_t *)s, sd, NULL,
-                          with_sensitivities);
+                          columns);
         }
         for (int i = 0; i < NX; ++i) {
             base[i] = z[i];
             for (int l = 0; l < stage; ++l) base[i] += h * weights[stage][l] * k[l][i];
         }
-        if (with_sensitivities)
+        if (columns)
             for (int i = 0; i < NX; ++i) {
                 for (int j = 0; j < ACTIVE; ++j) sbase[i][j] = s[i][j];
                 for (int l = 0; l < stage; ++l)
@@ -269,19 +273,19 @@ static void advance_step(double *z, row_t *s, const double *start, const double 
                         sbase[i][j] += h * weights[stage][l] * sk[l][i][j];
             }
         implicit_stage(x, base, d, p, t + fractions[stage] * h, hg, sx, (const row_t *)sbase,
-                       (const row_t *)sd, with_sensitivities);
+                       (const row_t *)sd, columns);
         if (stage == 2) break;
         for (int i = 0; i < NX; ++i) k[stage][i] = (x[i] - base[i]) / hg;
-        if (with_sensitivities)
+        if (columns)
             for (int i = 0; i < NX; ++i)
                 for (int j = 0; j < ACTIVE; ++j) sk[stage][i][j] = (sx[i][j] - sbase[i][j]) / hg;
     }
     memcpy(z, x, sizeof(double) * NX);
     for (int i = 0; i < NA; ++i) z[NX + i] = memory[i];
-    if (with_sensitivities) {
+    if (columns) {
         for (int i = 0; i < NX; ++i)
             for (int j = 0; j < ACTIVE; ++j) s[i][j] = sx[i][j];
-        take_rows(s + NX, (const row_t *)sa, NA);
+        take_rows(s + NX, (const row_t *)sa, NA, columns);
     }
 }
 
@@ -289,7 +293,7 @@ static void advance_step(double *z, row_t *s, const double *start, const double 
 
 /* One integration step of length h; z and s are replaced. */
 static ONCE void advance_step(double *z, row_t *s, const double *start, const double *end,
-                         const double *p, double t, double h, int with_sensitivities)
+                         const double *p, double t, double h, const columns_t *columns)
 {
     double input[MAX1(NU)], d0[MAX1(ND)], dm[MAX1(ND)], d1[MAX1(ND)], memory[MAX1(NA)];
     SCRATCH row_t sd0[MAX1(ND)], sdm[MAX1(ND)], sd1[MAX1(ND)], sa[MAX1(NA)], k1s[MAX1(NX)],
@@ -300,32 +304,32 @@ static ONCE void advance_step(double *z, row_t *s, const double *start, const do
     inputs_between(start, end, 0.0, input);
     /* Memory moves on with the inputs of the middle. */
     actuate_stage(z + NX, input, p, t, h, d0, ANY_LINEAR_INPUT ? NULL : memory, (const row_t *)s,
-                  sd0, ANY_LINEAR_INPUT ? NULL : sa, with_sensitivities);
+                  sd0, ANY_LINEAR_INPUT ? NULL : sa, columns);
     if (ANY_LINEAR_INPUT) {
         inputs_between(start, end, 0.5, input);
         actuate_stage(z + NX, input, p, t, h, dm, memory, (const row_t *)s, sdm, sa,
-                      with_sensitivities);
+                      columns);
         inputs_between(start, end, 1.0, input);
         actuate_stage(z + NX, input, p, t, h, d1, NULL, (const row_t *)s, sd1, NULL,
-                      with_sensitivities);
+                      columns);
         middle = dm; last = d1;
         smiddle = (const row_t *)sdm; slast = (const row_t *)sd1;
     }
-    rates_stage(z, first, p, t, k1, (const row_t *)s, sfirst, k1s, with_sensitivities);
+    rates_stage(z, first, p, t, k1, (const row_t *)s, sfirst, k1s, columns);
     for (int i = 0; i < NX; ++i) x[i] = z[i] + 0.5 * h * k1[i];
-    if (with_sensitivities) step_rows(stage, (const row_t *)s, 0.5 * h, (const row_t *)k1s, NX);
+    if (columns) step_rows(stage, (const row_t *)s, 0.5 * h, (const row_t *)k1s, NX, columns);
     rates_stage(x, middle, p, t + 0.5 * h, k2, (const row_t *)stage, smiddle, k2s,
-                with_sensitivities);
+                columns);
     for (int i = 0; i < NX; ++i) x[i] = z[i] + 0.5 * h * k2[i];
-    if (with_sensitivities) step_rows(stage, (const row_t *)s, 0.5 * h, (const row_t *)k2s, NX);
+    if (columns) step_rows(stage, (const row_t *)s, 0.5 * h, (const row_t *)k2s, NX, columns);
     rates_stage(x, middle, p, t + 0.5 * h, k3, (const row_t *)stage, smiddle, k3s,
-                with_sensitivities);
+                columns);
     for (int i = 0; i < NX; ++i) x[i] = z[i] + h * k3[i];
-    if (with_sensitivities) step_rows(stage, (const row_t *)s, h, (const row_t *)k3s, NX);
-    rates_stage(x, last, p, t + h, k4, (const row_t *)stage, slast, k4s, with_sensitivities);
+    if (columns) step_rows(stage, (const row_t *)s, h, (const row_t *)k3s, NX, columns);
+    rates_stage(x, last, p, t + h, k4, (const row_t *)stage, slast, k4s, columns);
     for (int i = 0; i < NX; ++i) z[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
     for (int i = 0; i < NA; ++i) z[NX + i] = memory[i];
-    if (with_sensitivities) {
+    if (columns) {
         const int width = ACTIVE;
         for (int i = 0; i < NX; ++i)
             for (int j = 0; j < width; j += 4)
@@ -334,7 +338,7 @@ static ONCE void advance_step(double *z, row_t *s, const double *start, const do
                     (*(four_t *)(k1s[i] + j) +
                      2.0 * (*(four_t *)(k2s[i] + j) + *(four_t *)(k3s[i] + j)) +
                      *(four_t *)(k4s[i] + j));
-        take_rows(s + NX, (const row_t *)sa, NA);
+        take_rows(s + NX, (const row_t *)sa, NA, columns);
     }
 }
 
@@ -343,7 +347,7 @@ static ONCE void advance_step(double *z, row_t *s, const double *start, const do
 /* One measurement, h after the last moment that sensor memory, which is replaced in z and s, took
  * in. */
 static ONCE void sample_step(double *z, row_t *s, const double *input, const double *p, double t,
-                        double h, double *y, row_t *sy, int with_sensitivities)
+                        double h, double *y, row_t *sy, const columns_t *columns)
 {
     double d[MAX1(ND)], next[MAX1(NS)];
     double w[MAX1(W_OBSERVE)];
@@ -351,9 +355,9 @@ static ONCE void sample_step(double *z, row_t *s, const double *input, const dou
     SCRATCH row_t sd[MAX1(ND)], snext[MAX1(NS)];
     /* Signals of actuators only where a sensor sees them. */
     if (NNZ_JYD + NNZ_JSD > 0)
-        actuate_stage(z + NX, input, p, t, h, d, NULL, (const row_t *)s, sd, NULL, with_sensitivities);
+        actuate_stage(z + NX, input, p, t, h, d, NULL, (const row_t *)s, sd, NULL, columns);
     const double *arg[8] = {z, d, z + NX + NA, p, &t, &h};
-    if (!with_sensitivities) {
+    if (!columns) {
         double *res[4] = {y, next};
         observe(arg, res, iw, w, 0);
     } else {
@@ -366,7 +370,7 @@ static ONCE void sample_step(double *z, row_t *s, const double *input, const dou
         PARAMETERS_SY
         PRODUCTS(ROWS_SNEXT)
         PARAMETERS_SNEXT
-        take_rows(s + NX + NA, (const row_t *)snext, NS);
+        take_rows(s + NX + NA, (const row_t *)snext, NS, columns);
     }
     for (int i = 0; i < NS; ++i) z[NX + NA + i] = next[i];
 }
@@ -388,7 +392,7 @@ static inline double interval_before(const double *times, int n, int k)
  * the first of these moments takes in the others too where it is asked for. */
 static void advance_interval(double *z, row_t *s, const double *times, const double *input,
                              const double *p, double h_max, int k, int remember,
-                             int with_sensitivities)
+                             const columns_t *columns)
 {
     const double interval = times[k + 1] - times[k];
     const double *next = input + NU;
@@ -403,9 +407,9 @@ static void advance_interval(double *z, row_t *s, const double *times, const dou
         }
         if (remember && i > 0)
             sample_step(z, s, ANY_LINEAR_INPUT ? from : input, p, times[k] + i * h, h, y, sy,
-                        with_sensitivities);
+                        columns);
         advance_step(z, s, ANY_LINEAR_INPUT ? from : input, ANY_LINEAR_INPUT ? to : next, p,
-                     times[k] + i * h, h, with_sensitivities);
+                     times[k] + i * h, h, columns);
     }
 }
 
@@ -433,11 +437,14 @@ void kernel_start(const double *own, const double *input, const double *p, doubl
 #ifdef SELECT
 /* Columns of the runs of this thread: those of all start states, then of each parameter the one
  * that is stated, or none where that is negative. */
+static _Thread_local columns_t selected;
+
 void kernel_select(int width, const int *columns)
 {
-    active_width(width);
-    column_of = columns;
+    selected = (columns_t){width, (width + 3) & ~3, columns};
 }
+#else
+static const columns_t selected = {NC, WIDTH, NULL};
 #endif
 
 /* Run segments of one record.
@@ -455,7 +462,7 @@ int kernel_run(int n, const double *times, const double *inputs, const double *p
                int n_segments, const int *starts, const double *nodes, int from_nodes,
                double *z_out, double *y_out, double *dy_out, double *ends, double *dends)
 {
-    const int with_sensitivities = dy_out != 0 || dends != 0;
+    const columns_t *columns = dy_out || dends ? &selected : NULL;
     double z[MAX1(NZ)], y[MAX1(NY)];
     SCRATCH row_t s[MAX1(NZ)], sy[MAX1(NY)];
     memcpy(z, nodes, sizeof(double) * NZ);
@@ -464,8 +471,8 @@ int kernel_run(int n, const double *times, const double *inputs, const double *p
         const int stop = segment + 1 < n_segments ? starts[segment + 1] : n;
         if (segment && from_nodes)
             memcpy(z, nodes + (size_t)segment * NZ, sizeof(double) * from_nodes);
-        if (with_sensitivities) {
-            clear_rows(s, NZ);
+        if (columns) {
+            clear_rows(s, NZ, columns);
             for (int i = 0; i < NZ; ++i) s[i][i] = 1.0;
         }
         for (int k = first; k < stop; ++k) {
@@ -477,15 +484,15 @@ int kernel_run(int n, const double *times, const double *inputs, const double *p
             if (!(fabs(check) < DIVERGED)) return k;
             if (z_out) memcpy(z_out + (size_t)k * NZ, z, sizeof(double) * NZ);
             if (y_out || dy_out || NS > 0) {
-                sample_step(z, s, input, p, times[k], since, y, sy, with_sensitivities);
+                sample_step(z, s, input, p, times[k], since, y, sy, columns);
                 if (y_out) memcpy(y_out + (size_t)k * NY, y, sizeof(double) * NY);
-                if (dy_out) copy_rows(dy_out + (size_t)k * NY * COLUMNS, (const row_t *)sy, NY);
+                if (dy_out) copy_rows(dy_out + (size_t)k * NY * COLUMNS, (const row_t *)sy, NY, columns);
             }
             if (k + 1 >= n) break;
-            advance_interval(z, s, times, input, p, h_max, k, NS > 0, with_sensitivities);
+            advance_interval(z, s, times, input, p, h_max, k, NS > 0, columns);
         }
         if (ends) memcpy(ends + (size_t)segment * NZ, z, sizeof(double) * NZ);
-        if (dends) copy_rows(dends + (size_t)segment * NZ * COLUMNS, (const row_t *)s, NZ);
+        if (dends) copy_rows(dends + (size_t)segment * NZ * COLUMNS, (const row_t *)s, NZ, columns);
     }
     return -1;
 }
@@ -527,6 +534,7 @@ int kernel_gather(int n, const double *times, const double *inputs, const double
                   int n_segments, const int *starts, const double *nodes, const double *measured,
                   const double *weight, double *gram, double *ends, double *dends)
 {
+    const columns_t *columns = &selected;
     double z[MAX1(NZ)], y[MAX1(NY)];
     SCRATCH row_t s[MAX1(NZ)], sy[MAX1(NY)];
     SCRATCH gram_t sum;
@@ -534,7 +542,7 @@ int kernel_gather(int n, const double *times, const double *inputs, const double
         const int first = starts[segment];
         const int stop = segment + 1 < n_segments ? starts[segment + 1] : n;
         memcpy(z, nodes + (size_t)segment * NZ, sizeof(double) * NZ);
-        clear_rows(s, NZ);
+        clear_rows(s, NZ, columns);
         for (int i = 0; i < NZ; ++i) s[i][i] = 1.0;
         memset(sum, 0, sizeof sum);
         for (int k = first; k < stop; ++k) {
@@ -544,16 +552,16 @@ int kernel_gather(int n, const double *times, const double *inputs, const double
             double check = 0.0;
             for (int i = 0; i < NZ; ++i) check += z[i];
             if (!(fabs(check) < DIVERGED)) return k;
-            sample_step(z, s, input, p, times[k], since, y, sy, 1);
+            sample_step(z, s, input, p, times[k], since, y, sy, columns);
             gather_sample(sum, (const row_t *)sy, y, measured + (size_t)k * NY, weight);
             /* Where a segment ends for good, nothing asks for what follows its last sample. */
             if (k + 1 >= n || (k + 1 == stop && !ends)) break;
-            advance_interval(z, s, times, input, p, h_max, k, NS > 0, 1);
+            advance_interval(z, s, times, input, p, h_max, k, NS > 0, columns);
         }
         double *block = gram + (size_t)segment * NG * NG;
         for (int a = 0; a < NG; ++a) memcpy(block + a * NG, sum[a], sizeof(double) * NG);
         if (ends) memcpy(ends + (size_t)segment * NZ, z, sizeof(double) * NZ);
-        if (dends) copy_rows(dends + (size_t)segment * NZ * COLUMNS, (const row_t *)s, NZ);
+        if (dends) copy_rows(dends + (size_t)segment * NZ * COLUMNS, (const row_t *)s, NZ, columns);
     }
     return -1;
 }
