@@ -247,6 +247,17 @@ def _fill(sparsity: ca.Sparsity) -> str:
     return " ".join(f"matrix[{row}][{column}] = v[{i}];" for i, (row, column) in triplets)
 
 
+# Before the generated functions. They are called from the loops alone: private, they become a part
+# of these. Every lag that is absent asks at every step for an exponential that is less than half
+# the smallest number, hence zero, to which the library comes by its slow way, of underflow.
+_BEFORE = """
+#include <math.h>
+#define CASADI_SYMBOL_EXPORT static
+static inline double exponential(double x) { return x < -746.0 ? 0.0 : exp(x); }
+#define exp exponential
+"""
+
+
 def source(graph: Graph) -> str:
     """Return the complete C source of a model's kernel."""
     free = graph.free_indices
@@ -314,9 +325,8 @@ def source(graph: Graph) -> str:
     defines = [f"#define {name} {value}" for name, value in (sizes | updates).items()]
     folder = files("oed_sysid.compiled")
     loops = [folder.joinpath(name).read_text() for name in ("trajectory.c", "filter.c")]
-    # Functions of the model are called from the loops alone: private, they become a part of these.
-    code = ["#define CASADI_SYMBOL_EXPORT static", generator.dump(), *defines, loops[0]]
-    return "\n".join([*code, "#ifdef FILTER", loops[1], "#endif"])
+    code = [_BEFORE, generator.dump(), *defines, loops[0], "#ifdef FILTER", loops[1], "#endif"]
+    return "\n".join(code)
 
 
 def _updates(
