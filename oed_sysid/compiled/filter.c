@@ -18,36 +18,11 @@
 
 static inline int round4(int n) { return (n + 3) & ~3; }
 
-/* Loops over the vectors of a block: their sums stay in registers. */
-#define UNROLLED _Pragma("GCC unroll 8")
-
 /* target += factor * source, over n numbers rounded up to whole vectors, to which every array below
  * is padded. */
 static inline void axpy(double *restrict target, double factor, const double *restrict source, int n)
 {
     for (int j = 0; j < n; j += 4) *(four_t *)(target + j) += factor * *(const four_t *)(source + j);
-}
-
-/* Lower triangle of gram, in blocks of four by four, plus the products of n rows; all have a stride
- * of wide, in which width is padded with zeros. */
-static inline void add_products(double *restrict gram, const double *restrict rows, int n, int wide,
-                                int width)
-{
-    for (int a = 0; a < width; a += 4)
-        for (int b = 0; b <= a; b += 4) {
-            double *to = gram + (size_t)a * wide + b;
-            four_t sum[4];
-            UNROLLED
-            for (int i = 0; i < 4; ++i) sum[i] = *(four_t *)(to + (size_t)i * wide);
-            for (int o = 0; o < n; ++o) {
-                const double *row = rows + (size_t)o * wide;
-                const four_t right = *(const four_t *)(row + b);
-                UNROLLED
-                for (int i = 0; i < 4; ++i) sum[i] += row[a + i] * right;
-            }
-            UNROLLED
-            for (int i = 0; i < 4; ++i) *(four_t *)(to + (size_t)i * wide) = sum[i];
-        }
 }
 
 /* Most disturbances that act through one parameter of the model. */

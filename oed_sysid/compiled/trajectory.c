@@ -65,6 +65,31 @@ typedef double four_t __attribute__((vector_size(32), aligned(8)));
 #define PRODUCTS(statements) \
     for (int j = 0, width = ACTIVE; j < width; j += 4) { statements }
 
+/* Loops over the vectors of a block: their sums stay in registers. */
+#define UNROLLED _Pragma("GCC unroll 8")
+
+/* Lower triangle of gram, in blocks of four by four, plus the products of n rows; all have a stride
+ * of wide, in which width is padded with zeros. */
+static inline void add_products(double *restrict gram, const double *restrict rows, int n, int wide,
+                                int width)
+{
+    for (int a = 0; a < width; a += 4)
+        for (int b = 0; b <= a; b += 4) {
+            double *to = gram + (size_t)a * wide + b;
+            four_t sum[4];
+            UNROLLED
+            for (int i = 0; i < 4; ++i) sum[i] = *(four_t *)(to + (size_t)i * wide);
+            for (int o = 0; o < n; ++o) {
+                const double *row = rows + (size_t)o * wide;
+                const four_t right = *(const four_t *)(row + b);
+                UNROLLED
+                for (int i = 0; i < 4; ++i) sum[i] += row[a + i] * right;
+            }
+            UNROLLED
+            for (int i = 0; i < 4; ++i) *(four_t *)(to + (size_t)i * wide) = sum[i];
+        }
+}
+
 /* Zeros in the columns in use. */
 static inline void clear_rows(row_t *rows, int n, const columns_t *columns)
 {
@@ -502,7 +527,7 @@ int kernel_run(int n, const double *times, const double *inputs, const double *p
 #define NG (NC + 1)
 #define NV ((NG + 3) / 4 * 4)
 
-typedef double gram_t[NG][NV];
+typedef double gram_t[NV][NV];
 
 /* Add the products of one measurement's rows, scaled, to a segment's normal equations. */
 static void gather_sample(gram_t sum, const row_t *sy, const double *y, const double *measured,
@@ -516,11 +541,7 @@ static void gather_sample(gram_t sum, const row_t *sy, const double *y, const do
         rows[i][NC] = factor != 0.0 ? factor * residual : 0.0;
         for (int j = NG; j < NV; ++j) rows[i][j] = 0.0;
     }
-    for (int a = 0; a < NG; ++a)
-        for (int i = 0; i < NY; ++i) {
-            const double factor = rows[i][a];
-            for (int j = 0; j < NV; ++j) sum[a][j] += factor * rows[i][j];
-        }
+    add_products(sum[0], rows[0], NY, NV, NG);
 }
 
 /* Run segments of one record and gather the normal equations of each.
@@ -559,7 +580,8 @@ int kernel_gather(int n, const double *times, const double *inputs, const double
             advance_interval(z, s, times, input, p, h_max, k, NS > 0, columns);
         }
         double *block = gram + (size_t)segment * NG * NG;
-        for (int a = 0; a < NG; ++a) memcpy(block + a * NG, sum[a], sizeof(double) * NG);
+        for (int a = 0; a < NG; ++a)
+            for (int b = 0; b <= a; ++b) block[a * NG + b] = block[b * NG + a] = sum[a][b];
         if (ends) memcpy(ends + (size_t)segment * NZ, z, sizeof(double) * NZ);
         if (dends) copy_rows(dends + (size_t)segment * NZ * COLUMNS, (const row_t *)s, NZ, columns);
     }
