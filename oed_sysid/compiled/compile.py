@@ -44,6 +44,8 @@ from oed_sysid.runtime.files import cache_folder, private, private_cache
 _FLAGS = (
     *("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w"),
     "-fno-semantic-interposition",  # no other library replaces functions of this one
+    # Vectors are written where they pay: of numbers just stored one by one they wait for the cache.
+    "-fno-tree-slp-vectorize",
     *os.environ.get("OED_SYSID_CFLAGS", "").split(),
 )
 

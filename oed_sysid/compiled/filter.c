@@ -293,10 +293,9 @@ size_t kernel_filter_work(int na, int more, int nq, int nr, int nx, int nl)
 {
     const size_t size = na + nr, rows = size + more, stride = round4((int)size), lanes = round4(nl);
     const size_t width = stride + round4(nx) + lanes, wide = round4(nx + nl + 1);
-    return rows * 2 * width + rows * stride + rows * size * (lanes + 4) + width + 2 * stride +
-           (size_t)nr * nr * (lanes + 1) + (size_t)nr * (lanes + 1) +
-           (size_t)(na + more) * (na + nq + more) + (size_t)STATES * nr +
-           (2 * NY + 1 + lanes + wide) * wide;
+    return 4 + rows * (2 * width + stride) + rows * size * (lanes + 4) + width + 2 * stride +
+           round4(nr * nr) + (size_t)nr * nr * lanes + round4(nr * ((int)lanes + 1)) +
+           round4((na + more) * (na + nq + more) + STATES * nr) + (2 * NY + 1 + lanes + wide) * wide;
 }
 
 /* Filter one record.
@@ -341,14 +340,16 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
     const int stride = round4(size), lanes = round4(nl), c_levels = stride + round4(nx);
     const int joint = c_levels + lanes, width = nx + nl + 1, wide = round4(width);
     const size_t block_moves = (size_t)(size + nq) * size, four_levels = (size_t)n_rows * size;
+    /* No vector across two lines of the cache, from which it would be read twice. */
+    work += (4 - (size_t)work / sizeof(double) % 4) % 4;
     double *J = work, *Jnext = J + (size_t)n_rows * joint;
     double *across = Jnext + (size_t)n_rows * joint;
     four_t *dP = (four_t *)(across + (size_t)n_rows * stride), *dPacross = dP + lanes / 4 * four_levels;
     double *c = (double *)(dPacross + four_levels), *delta = c + joint, *mean = delta + stride;
-    double *fresh = mean + stride, *d_fresh = fresh + (size_t)nr * nr;
+    double *fresh = mean + stride, *d_fresh = fresh + round4(nr * nr);
     double *lanes_across = d_fresh + (size_t)nr * nr * lanes;
-    double *entries = lanes_across + (size_t)nr * (lanes + 1);
-    double *rows = entries + (size_t)(na + more) * (m + more) + (size_t)STATES * nr;
+    double *entries = lanes_across + round4(nr * (lanes + 1));
+    double *rows = entries + round4((na + more) * (m + more) + STATES * nr);
     double *rowsq = rows + (size_t)NY * wide, *slope = rowsq + (size_t)NY * wide;
     double *information = slope + wide, *gram = information + (size_t)lanes * wide;
     int place[NZ + PROCESSES * NF], sensors_remember = 0, last = -1;

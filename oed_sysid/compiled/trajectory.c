@@ -527,13 +527,13 @@ int kernel_run(int n, const double *times, const double *inputs, const double *p
 #define NG (NC + 1)
 #define NV ((NG + 3) / 4 * 4)
 
-typedef double gram_t[NV][NV];
+typedef double gram_t[NV][NV] __attribute__((aligned(32)));
 
 /* Add the products of one measurement's rows, scaled, to a segment's normal equations. */
 static void gather_sample(gram_t sum, const row_t *sy, const double *y, const double *measured,
                           const double *weight)
 {
-    double rows[MAX1(NY)][NV];
+    double rows[MAX1(NY)][NV] __attribute__((aligned(32)));
     for (int i = 0; i < NY; ++i) {
         const double residual = measured[i] - y[i];
         const double factor = isnan(measured[i]) ? 0.0 : weight[i];
