@@ -440,7 +440,7 @@ class MultipleShooting:
         except SimulationError:  # the model itself diverges: the status says so
             return fit, None
         fit = replace(fit, process_noise=ProcessNoiseTest(test.gain))
-        if tests and test.gain < TOLD_APART and not _astray(fit, setting):
+        if tests and _nothing_shows(test, fit, setting):
             return fit, None
         test = replace(test, noise=_declared_levels(test.noise, declared))
         begun = (starts,) if task.carried is None else ([task.carried], starts)
@@ -825,13 +825,15 @@ def _declared_levels(noise: NoiseModel, declared: Sequence[RandomProcess]) -> No
     return replace(noise, force=force, force_time=time)
 
 
-def _astray(fit: Fit, setting: Setting) -> bool:
-    """Whether residuals are far above what the signals show of noise that nobody declared.
+def _nothing_shows(test: ScoreTest, fit: Fit, setting: Setting) -> bool:
+    """Whether a test at the white fit says that no process noise acts, where it can.
 
-    Values may have followed what disturbs them there, and a test of it tells nothing.
+    Where residuals are far above what the signals show of noise that nobody declared, values may
+    have followed what disturbs them, and a test tells nothing there.
     """
     beyond = np.array(list(fit.rms.values())) > CLEARLY * setting.white
-    return bool(setting.estimated.any() and (beyond.any() or not np.isfinite(fit.cost)))
+    astray = setting.estimated.any() and (beyond.any() or not np.isfinite(fit.cost))
+    return bool(test.gain < TOLD_APART and not astray)
 
 
 def _no_likelier(disturbed: Fit, white: Fit) -> bool:

@@ -72,9 +72,6 @@ from oed_sysid.runtime.constants import BEYOND
 # of a sea, whose choice among periods and shapes may be worth two or three nats, and of one wave in
 # several places, each of which adds a phase and a share. Below, two starts are one.
 WORTH = 10.0
-# What one unknown more weighs in it where nothing is claimed of that (Akaike 1974, *A new look at
-# the statistical model identification*, IEEE Trans. Automatic Control 19, 716).
-AKAIKE = 2.0
 # Decades above these levels that are climbed for the likeliest, and the stride of the climb: where
 # a model hardly damps what disturbs it, records tell of levels far below those that act.
 DECADES, STRIDE = 21, 3
@@ -149,7 +146,7 @@ def fit_disturbed(
     if best.finite is None:
         return best
     best = admitted(best, setting)
-    apart = admitted(best, setting, {own_times: AKAIKE})
+    apart = admitted(best, setting, {own_times: None})
     if apart is stayed or not polish:
         return apart
     end = _polished(apart, polish)
@@ -366,28 +363,36 @@ def _first_home(
 
 
 def admitted(
-    found: FilteredSolution, setting: Setting, parts: Mapping[Proposal, float] | None = None
+    found: FilteredSolution, setting: Setting, parts: Mapping[Proposal, float | None] | None = None
 ) -> FilteredSolution:
     """Forward search over parts of the noise model, each estimated with everything else.
 
-    A part stays where the restricted likelihood pays its price.
+    A part stays where the restricted likelihood pays its price. Of what nothing is claimed that is
+    the weight of its unknowns (Akaike 1974, *A new look at the statistical model identification*,
+    IEEE Trans. Automatic Control 19, 716).
 
     Parameters
     ----------
     found : FilteredSolution
     setting : Setting
     parts : mapping, optional
-        Prices of parts, in twice the log-likelihood, by what proposes them: this gives the problem
-        with the part, again while that stays, or None where nothing asks for it. By default
-        :data:`PARTS`.
+        Prices of parts, in twice the log-likelihood, None for the weight of their unknowns, by what
+        proposes them: this gives the problem with the part, again while that stays, or None where
+        nothing asks for it. By default :data:`PARTS`.
     """
     for propose, price in (parts or PARTS).items():
         while problem := propose(found, setting):
             again = moved(found, problem, setting.max_iterations)
-            if not _is_shown(again.noise, setting) or _fall(found, again) < price:
+            least = 2.0 * _more(found, problem) if price is None else price
+            if not _is_shown(again.noise, setting) or _fall(found, again) < least:
                 break
             found = again
     return found
+
+
+def _more(found: FilteredSolution, problem: Filtered) -> int:
+    """How many unknowns more the noise of a problem has."""
+    return len(problem.levels) - len(found.problem.levels)
 
 
 def _fall(found: FilteredSolution, again: FilteredSolution) -> float:
@@ -544,7 +549,7 @@ def inputs_for_forces(found: FilteredSolution, setting: Setting) -> Filtered | N
     shown = [most[place] / TWOFOLD for place in inputs]
     alone = noise.only(np.isin(noise.places, setting.known)).with_places(inputs, 0.0, shown)
     problem = posed(found, setting, alone)
-    return problem if len(problem.levels) < len(found.problem.levels) else None
+    return problem if _more(found, problem) < 0 else None
 
 
 def own_times(found: FilteredSolution, setting: Setting) -> Filtered | None:
@@ -555,7 +560,7 @@ def own_times(found: FilteredSolution, setting: Setting) -> Filtered | None:
         return None
     problem = posed(found, setting, noise, own_times=True)
     problem = problem.posed(problem.levels.without_forces(noise.force == 0))
-    return problem if 2.0 * moved(found, problem, 0).promise >= AKAIKE else None
+    return problem if moved(found, problem, 0).promise >= _more(found, problem) else None
 
 
 def beside_a_sea(found: FilteredSolution, setting: Setting) -> Filtered | None:
@@ -628,15 +633,15 @@ def without_tails(found: FilteredSolution, setting: Setting) -> Filtered | None:
 
 
 # Parts in the order in which they are asked for, and their prices: noise of inputs that takes the
-# place of forces may be less likely by what the unknown that it has fewer weighs, and what has
+# place of forces may be less likely by what the unknowns that it has fewer weigh, and what has
 # vanished always goes.
-PARTS: Mapping[Proposal, float] = {
+PARTS: Mapping[Proposal, float | None] = {
     autocorrelated_sensors: WORTH,
     zeros_of_sensors: WORTH,
     sensors_for_forces: WORTH,
     without_vanished: -np.inf,
     noisy_inputs: WORTH,
-    inputs_for_forces: -AKAIKE,
+    inputs_for_forces: None,
 }
 
 
@@ -719,12 +724,8 @@ def with_sea(
     sea = min(ends, key=lambda one: one.restricted)
     if sea.finite is None:
         return found
-    if not setting.seas and not _clearly_a_sea(sea, found, setting):
-        # Beside gusts waves alone may explain less than these; gusts may be of several times, too.
-        both = admitted(sea, setting, {one_wave: 2.0 * WORTH, beside_a_sea: WORTH})
-        gusts = admitted(found, setting, {own_times: AKAIKE})
-        if both is sea or not _clearly_a_sea(both, gusts, setting):
-            return found
+    if not (setting.seas or _clearly_a_sea(sea, found, setting)):
+        return found
     together = _of_each_record(admitted(sea, setting, {one_wave: 2.0 * WORTH}), setting)
     together = admitted(together, setting, {without_tails: 0.0})
     return together if setting.seas else admitted(together, setting, {beside_a_sea: WORTH})
@@ -740,7 +741,7 @@ def _of_each_record(found: FilteredSolution, setting: Setting) -> FilteredSoluti
     if told or len(records) < 2 or any(record.independent for record in records):
         return found
     problem = _waves(found, setting, of_each_record=True)
-    least = float(chdtri(len(problem.levels) - len(found.problem.levels), CHANCE))
+    least = float(chdtri(_more(found, problem), CHANCE))
     begin = moved(found, problem, 0)
     if _fall(found, begin) + 2.0 * begin.promise < least:
         return found
@@ -750,7 +751,19 @@ def _of_each_record(found: FilteredSolution, setting: Setting) -> FilteredSoluti
 
 
 def _clearly_a_sea(sea: FilteredSolution, found: FilteredSolution, setting: Setting) -> bool:
-    """Whether a sea is clearly likelier than forces of first order, and its width at no bound."""
+    """Whether a sea is clearly likelier than forces of first order, or is so beside them.
+
+    Waves alone may explain less than gusts of like size, which may be of several times, too.
+    """
+    if _clearer(sea, found, setting):
+        return True
+    both = admitted(sea, setting, {one_wave: 2.0 * WORTH, beside_a_sea: WORTH})
+    gusts = admitted(found, setting, {own_times: None})
+    return both is not sea and _clearer(both, gusts, setting)
+
+
+def _clearer(sea: FilteredSolution, found: FilteredSolution, setting: Setting) -> bool:
+    """Whether a sea is clearly likelier than what is without, and its width at no bound."""
     if sea.noise.seas[0].is_broad:
         return False  # as broad as that it is no wave
     # Held over the same shorter steps, these may be as likely.
