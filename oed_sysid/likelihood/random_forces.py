@@ -382,8 +382,11 @@ def admitted(
     """
     for propose, price in (parts or PARTS).items():
         while problem := propose(found, setting):
-            again = moved(found, problem, setting.max_iterations)
             least = 2.0 * _more(found, problem) if price is None else price
+            again = moved(found, problem, FEW)
+            # Only what promises to pay goes on.
+            if again.reason not in HOME and _fall(found, again) + 2.0 * again.promise >= least:
+                again = solved(again, setting.max_iterations - FEW)
             if not _is_shown(again.noise, setting) or _fall(found, again) < least:
                 break
             found = again
