@@ -44,7 +44,7 @@ from oed_sysid.cli import NO_RESULT, SUSPECT, main
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.evidence.check import LogCheck, with_estimates
 from oed_sysid.likelihood import multiple_shooting
-from oed_sysid.likelihood.departures import estimate_departures, off_origin
+from oed_sysid.likelihood.departures import asked_of, estimate_departures, off_origin
 from oed_sysid.likelihood.estimate import Departure
 from oed_sysid.likelihood.gauss_newton import nowhere
 from oed_sysid.likelihood.judgement import CHECKS, FATAL, SAYS, Concern, judge, unexplained
@@ -388,6 +388,26 @@ def test_an_accelerometer_off_the_origin_feels_the_turning() -> None:
     curved = np.gradient(np.gradient(place, times, axis=0), times, axis=0)
     along = np.sum(curved * place, axis=1)
     assert added[2:-2, 4] == pytest.approx(along[2:-2], abs=1e-4)
+
+
+def test_an_accelerometer_ahead_of_a_hull_without_surge_is_asked() -> None:
+    """Ahead by a metre, the second derivative of depth less that of pitch; abeam, nothing."""
+    times = 0.01 * np.arange(1000)
+    model = Model(
+        "heave and pitch", (State("w", "m/s"), State("q", "rad/s")), (),
+        (Output("q", "rad/s"), Output("az", "m/s^2", expression="dot(w)")),
+        axes={"Z": "w", "M": "q"}, inertia={("Z", "w"): "1", ("M", "q"): "1"},
+        effects=(Force("hull", {"Z": "-w", "M": "-q"}, ()),),
+    )  # fmt: skip
+    assert {kind for signals, kind in asked_of(model) if signals == ("az",)} >= {"ahead"}
+    states = np.column_stack([np.cos(times), 0.3 * np.sin(0.8 * times)])
+    ahead, abeam = (
+        off_origin(model, kind, model.value_vector, states, times)
+        for kind in ("ahead", "to starboard")
+    )
+    assert ahead[2:-2, 1] == pytest.approx(-0.24 * np.cos(0.8 * times[2:-2]), abs=1e-4)
+    assert not ahead[:, 0].any()
+    assert not abeam.any()
 
 
 def test_a_receiver_off_the_origin_is_asked_beside_process_noise() -> None:

@@ -219,9 +219,12 @@ def instruments_of(model: Model) -> list[tuple[str, ...]]:
 
 
 def levers_of(model: Model) -> tuple[str, ...]:
-    """Kinds of an instrument off the origin, where there is one."""
-    axes = model.axes if instruments_of(model) else ()
-    return tuple(kind for kind, axis in LEVERS.items() if axis in axes)
+    """Kinds of an instrument off the origin, where there is one.
+
+    What turning does to accelerations needs no velocity along the arm: a heave and pitch model has
+    accelerometers ahead.
+    """
+    return tuple(LEVERS) if instruments_of(model) else ()
 
 
 def off_origin(
@@ -247,7 +250,8 @@ def off_origin(
     own = np.zeros((graph.n_states, len(times)))
     own[: len(names)] = states[:, : len(names)].T
     faster = own.copy()
-    faster[names.index(model.axes[LEVERS[kind]])] += 1.0
+    if LEVERS[kind] in model.axes:
+        faster[names.index(model.axes[LEVERS[kind]])] += 1.0
     before, after = (np.array(graph.rates(x, 0.0, values, times[None])) for x in (own, faster))
     turning = np.zeros((len(times), 3))
     for i, axis in enumerate("KMN"):
