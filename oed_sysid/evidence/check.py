@@ -333,7 +333,7 @@ def with_estimates(
     for one in input_factors(fit, begun):
         row = {"says": one.text, "name": one.channel.name}
         findings.append(words.said("input_factor", (one.channel.name,), log.records, row))
-    findings += [*_far(fit, log.records), *_departing(log, fit), *_zeros(log, fit)]
+    findings += [*_departing(log, fit), *_zeros(log, fit), *_far(fit, log.records)]
     findings += [*scaled_inputs(fit), *between_runs(fit)]
     return replace(log, findings=tuple(_ordered(findings)))
 
@@ -485,11 +485,13 @@ def _equations(
 
 
 def _ordered(findings: list[Finding]) -> list[Finding]:
-    """Suspect ones first, coincidences before gains; a wrong unit explains a wrong noise level."""
+    """Suspect ones first, and in the order of the steps: what is found later may follow from it.
+
+    A wrong unit explains a wrong noise level.
+    """
     rescaled = {n for f in findings if f.kind in ("unit", "swap", "scale") for n in f.signals}
     kept = [f for f in findings if f.kind != "noise" or not rescaled & set(f.signals)]
-    exact = kinds_that_are("coincidence")
-    return sorted(kept, key=lambda o: (not o.suspect, o.kind not in exact, -(o.gain or 0.0)))
+    return sorted(kept, key=lambda one: not one.suspect)
 
 
 def _asked(

@@ -301,7 +301,8 @@ class Signal:
         long = (runs.length >= least) & ~lost
         level = (runs.length >= min(3.0, least)) & extreme & ~lost & ~both
         cut = level & ((np.bincount(place, weights=level)[place] >= 2) | long) & (not coarse)
-        masks = lost, cut, long & ~cut & (runs.length >= 8) & sudden
+        # A slow signal stays on a step of its converter.
+        masks = lost, cut, long & ~cut & (runs.length >= 8) & sudden & (not coarse)
         return masks if self.noisy else (lost & False,) * 3
 
     def spikes(self) -> Stopped | None:
