@@ -154,7 +154,13 @@ class Motion:
     rate is the right side of the equation.
     """
 
-    def __init__(self, trace: Trace, relations: tuple[Relation, ...]) -> None:
+    def __init__(
+        self,
+        trace: Trace,
+        relations: tuple[Relation, ...],
+        factors: Mapping[str, float] | None = None,
+    ) -> None:
+        self.factors = factors or {}
         names = [*names_of(relations), *(logged(n) for r in relations for n in r.driven)]
         self.trace, self.elapsed = trace, trace.times - trace.times[0]
         self.raw = trace.filled(n for n in names if n in trace.values)
@@ -219,7 +225,11 @@ def _turned(one: Candidate, m: Motion) -> dict[str, np.ndarray]:
 
 def _scaled(one: Candidate, m: Motion) -> dict[str, np.ndarray]:
     trace = m.trace
-    return {n: m.values[n] - pivot(trace.values[n], trace.units[n]) for n in one.signals}
+    # Of a share more of what was logged, as much less of what was undone is seen.
+    return {
+        n: (m.values[n] - pivot(trace.values[n], trace.units[n])) / m.factors.get(n, 1.0)
+        for n in one.signals
+    }
 
 
 def _lagging(one: Candidate, m: Motion) -> dict[str, np.ndarray]:
@@ -483,7 +493,7 @@ def contrasts(
     if trace.times.size < LEAST:
         return
     factors = factors or {}
-    motion = Motion(trace, relations)
+    motion = Motion(trace, relations, factors)
     every = {k: SHAPES[f.kind](f, motion) for k, f in enumerate(faults) if motion.has(f)}
     for index, right in motion.right.items():
         relation = relations[index]
@@ -832,7 +842,8 @@ class System:
             # What cannot be told by these records is a rival, however seldom it is so large.
             usual = self.of("plausible")
             short = own[i] + (size[i] / usual[k]) ** 2 - gain - (other / usual) ** 2
-            near = self.able(chosen, other, error) & (short < CLOSE)
+            near = (self._own(other) >= self.least(error)) & (short < max(CLOSE, ABSORBED * own[i]))
+            near[list(chosen)] = False
             told: dict[tuple[object, ...], Found] = {}
             for j in sorted(np.flatnonzero(near).tolist(), key=lambda j: -gain[j]):
                 f = self.faults[j]
@@ -868,7 +879,7 @@ class System:
     @cached_property
     def _numbers(self) -> dict[str, np.ndarray]:
         """Numbers of all candidates, ``(n,)`` each."""
-        names = ("plausible", "largest", "material", "rare", "positive")
+        names = ("plausible", "largest", "material", "rare", "positive", "placed")
         return {name: np.array([getattr(one, name) for one in self.faults]) for name in names}
 
     def _inverse(self, chosen: Sequence[int]) -> np.ndarray:
@@ -922,9 +933,9 @@ class System:
         told = np.sqrt(self.limits) * np.where(error > 0.0, error, np.inf)
         return [*zip(self.faults, np.maximum(told, self.least(error)).tolist(), strict=True)]
 
-    def least(self, std: np.ndarray) -> np.ndarray:
+    def least(self, std: np.ndarray, chosen: Sequence[int] | slice = slice(None)) -> np.ndarray:
         """Least sizes that matter, and that noise in a regressor or the sampling does not make."""
-        return self.of("material") + 1.5 * std**2 * self.doubt
+        return self.of("material")[chosen] + 1.5 * std**2 * self.doubt[chosen]
 
     def anywhere(self, chosen: Sequence[int]) -> list[tuple[Candidate, float]]:
         """What may begin at any place, with the size that would be seen at the median of them."""
@@ -941,6 +952,15 @@ class System:
             if k >= len(self.gram):
                 best.setdefault((one.kind, one.signals, one.record), one)
         return [*best.values()][:MOST_FAULTS]
+
+    def _worth(self, gain: np.ndarray) -> np.ndarray:
+        """Statistics less what rarer faults of whole records have to tell more.
+
+        That are their odds, and a thousandth of the statistic, by which linear scores may be off.
+        """
+        rare = self.of("rare")
+        whole = (rare > 0.0) & ~self.of("placed")
+        return gain - rare - whole * ABSORBED * gain
 
     def price(self, chosen: Sequence[int]) -> np.ndarray:
         """What each has to gain beside a set that gains so much."""
@@ -959,14 +979,14 @@ class System:
     def _added(self, now: list[int]) -> list[int]:
         gain, size, std = self.beside(now)
         pays = self.able(now, size, std) & (gain > self.price(now))
-        best = int(np.argmax(np.where(pays, gain - self.of("rare"), -np.inf)))
+        best = int(np.argmax(np.where(pays, self._worth(gain), -np.inf)))
         return [*now, best] if pays[best] and len(now) < MOST_FAULTS else now
 
     def _exchanged(self, now: list[int]) -> list[int]:
         for k in tuple(now):
             rest = [j for j in now if j != k]
             gain, size, std = self.beside(rest)
-            worth = gain - self.of("rare")
+            worth = self._worth(gain)
             better = np.where(self.able(rest, size, std), worth, -np.inf)
             best = int(np.argmax(better))
             if better[best] > worth[k] + 0.1 and self.faults[k].material > 0.0:
@@ -974,11 +994,12 @@ class System:
         return now
 
     def _dropped(self, now: list[int]) -> list[int]:
-        least, most = self.of("material"), 1.5 * LARGEST * self.of("plausible")
+        most = 1.5 * self.of("largest")
         while now:
             size, _, gain = self.sizes(now)
             short, own = gain - self.price(now)[now], self._own(size, now)
-            small = (short < 0.0) | (own < least[now]) | (own > most[now])
+            least = self.least(self._inverse(now).diagonal() ** 0.5, now)
+            small = (short < 0.0) | (own < least) | (own > most[now])
             if not small.any():
                 return now
             now = [k for k in now if k != now[int(np.argmin(np.where(small, short, np.inf)))]]
