@@ -22,7 +22,7 @@ from oed_sysid.evidence.relations import relations
 from oed_sysid.evidence.remainder import Remains
 from oed_sysid.evidence.screens import bursts, jitter, screen, screened, steps
 from oed_sysid.evidence.traces import Trace, after_steps
-from oed_sysid.likelihood.noise_levels import cubic_weights, off_cubic
+from oed_sysid.likelihood.noise_levels import cubic_weights, first_order, off_cubic
 from oed_sysid.physics import actuator_offset, backlash, in_each_record, steady_wind
 
 TIMES = np.arange(800) * 0.1
@@ -180,6 +180,14 @@ def test_single_dropouts_held_and_coarse_samples_are_told() -> None:
     (held,) = (one for one in screen(traced(np.repeat(wave()[::5], 5))) if one.kind == "held")
     assert held.amount == pytest.approx(0.5)
     assert "quantised" in found_in(np.round(wave(), 1))
+
+
+def test_a_slow_signal_stays_on_a_step_of_its_converter() -> None:
+    """A rate that settles after each of some commands, in steps of five times its noise."""
+    rng = np.random.default_rng(0)
+    commands = np.repeat(rng.uniform(-0.1, 0.1, TIMES.size // 40 + 1), 40)[: TIMES.size]
+    settled = first_order(commands, 0.3) + 0.002 * rng.standard_normal(TIMES.size)
+    assert set(found_in(np.round(settled, 2))) == {"quantised"}
 
 
 @pytest.mark.parametrize("limit", [2.2, 3.5, 3.8])

@@ -42,7 +42,7 @@ from oed_sysid import (
 from oed_sysid.baselines import JointKalmanFilter
 from oed_sysid.cli import NO_RESULT, SUSPECT, main
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
-from oed_sysid.evidence.check import LogCheck, with_estimates
+from oed_sysid.evidence.check import Finding, LogCheck, with_estimates
 from oed_sysid.likelihood import multiple_shooting
 from oed_sysid.likelihood.departures import asked_of, estimate_departures, off_origin
 from oed_sysid.likelihood.estimate import Departure
@@ -371,6 +371,10 @@ def test_a_receiver_departs_as_a_whole(late: float, ahead: float, slow: float, k
         assert one.size == pytest.approx(late or ahead or slow, rel=0.15)
     log = with_estimates(LogCheck((), data.names), fit)
     assert [one.name for one in log.serious] == [f"{kind} x, y"] * bool(kind)
+    # What signals say of each other leads, however little: what a fit says may follow from it.
+    told = Finding("bias", ("r",), data.names, "", "", "", gain=1.0)
+    both = with_estimates(LogCheck((told,), data.names), fit)
+    assert [one.kind for one in both.serious] == ["bias", *[kind] * bool(kind)]
     for finding in log.serious:
         assert finding.interval is not None
         assert finding.interval[0] < (late or ahead or slow) < finding.interval[1]

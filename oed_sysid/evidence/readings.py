@@ -185,6 +185,9 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Found], l
     start : list of Found
         A large delay, which competes with readings: its size is for :func:`search` to find.
     """
+    # What a nominal model says of the motion between samples changes with the units of its states.
+    plain = tuple(replace(one, model=None) for one in question.relations)
+    question = replace(question, relations=plain)
     level = [undo(trace, question.known) for trace in traces]
     shared, coarse = replace(question, single=(), local=(), known=()), _coarse(level, question)
     found = list[Found]()
