@@ -29,6 +29,7 @@ from oed_sysid.evidence.contrasts import (
     Candidate,
     Found,
     Noise,
+    Piece,
     Question,
     Result,
     contrasts,
@@ -113,15 +114,16 @@ def _joined(
     alone = [one for one in found if one.candidate.kind == "scale"]
     readings, sized = [one for one in found if one not in alone], [*end.found]
     for far in alone:
-        factor, std = 1.0 + far.size, 0.5 * NEGLIGIBLE
-        for rest in [f for f in sized if f.candidate == far.candidate]:
-            factor, std = factor * (1.0 + rest.size), rest.std
-            sized.remove(rest)
+        rest = [one for one in sized if one.candidate == far.candidate]
+        sized = [one for one in sized if one not in rest]
+        factor = math.prod(1.0 + one.size for one in (far, *rest))
+        std = rest[-1].std if rest else 0.5 * NEGLIGIBLE
         whole = replace(far, size=factor - 1.0, std=std * abs(factor))
         named = _as_units(whole, units)
         share = factor * math.prod(one.size for one in named) - 1.0
         readings += named
-        sized = [*([replace(whole, size=share)] if abs(share) > NEGLIGIBLE else []), *sized]
+        if abs(share) > NEGLIGIBLE:
+            sized.insert(0, replace(whole, size=share))
     return readings, replace(end, found=tuple(sized))
 
 
@@ -207,12 +209,17 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Found], l
         sized = [one.correction for one in search(coarse, shared).found]
         if best.gain < limit + max(0.0, evidence.gained(sized) - CLOSE * (len(sized) - 1)):
             break
-        short = max(CLOSE, ABSORBED * best.gain)
-        near = {one.candidate: one for one in reversed(others) if one.gain > best.gain - short}
-        near.pop(best.candidate, None)
-        found.append(replace(best, rivals=tuple(reversed(near.values()))))
+        found.append(replace(best, rivals=_near(best, others)))
         coarse = mended(coarse, [best], question.relations)
     return found, []
+
+
+def _near(best: Found, others: Sequence[Found]) -> tuple[Found, ...]:
+    """Other readings that tell nearly as much as the best one, of each the likeliest."""
+    short = max(CLOSE, ABSORBED * best.gain)
+    near = {one.candidate: one for one in reversed(others) if one.gain > best.gain - short}
+    near.pop(best.candidate, None)
+    return tuple(reversed(near.values()))
 
 
 def _coarse(traces: Sequence[Trace], question: Question) -> list[Trace]:
@@ -247,17 +254,25 @@ def _far_scales(traces: Sequence[Trace], question: Question) -> Iterator[Found]:
     scales = [one for one in question.common if one.kind == "scale"]
     pieces = [piece for t in traces for piece in contrasts(t, question.relations, scales)]
     for (k, fault), (index, relation) in product(enumerate(scales), enumerate(question.relations)):
-        power, along = 0.0, 0.0
-        for piece in (one for one in pieces if one.relation == index):
-            column = piece.columns_of(np.array([k]))[:, 0]
-            power += float(piece.weight @ column**2)
-            along += float(piece.weight @ (column * piece.residual))
-        left = fault.signals[0] == relation.target
-        whole = 1.0 + (along if left else -along) / power if power > 0.0 else 0.0
+        mine = [piece for piece in pieces if piece.relation == index]
+        factor = _factor(mine, k, of_left=fault.signals[0] == relation.target)
+        most = 1.0 + fault.largest
         # Nothing is of no scale, and small errors are for the search.
-        factor, most = whole if left or not whole else 1.0 / whole, 1.0 + fault.largest
         if factor and not 1.0 / most < factor < most:
             yield Found(fault, factor - 1.0)
+
+
+def _factor(pieces: Sequence[Piece], fault: int, *, of_left: bool) -> float:
+    """Factor on a signal that leaves least of some contrasts; zero where none shows it."""
+    power, along = 0.0, 0.0
+    for piece in pieces:
+        column = piece.columns_of(np.array([fault]))[:, 0]
+        power += float(piece.weight @ column**2)
+        along += float(piece.weight @ (column * piece.residual))
+    if not power:
+        return 0.0
+    whole = 1.0 + (along if of_left else -along) / power
+    return whole if of_left or not whole else 1.0 / whole
 
 
 def _late(question: Question) -> Iterator[Found]:

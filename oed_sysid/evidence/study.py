@@ -44,7 +44,13 @@ from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels, residual_levels
 from oed_sysid.likelihood.noise_model import Disturbances, Levels, NoiseModel, forces_in, seas_in
 from oed_sysid.likelihood.projection import eliminate, inverse_of
-from oed_sysid.likelihood.random_forces import Start, admitted, fit_disturbed, solved
+from oed_sysid.likelihood.random_forces import (
+    Start,
+    admitted,
+    fit_disturbed,
+    solved,
+    with_own_times,
+)
 from oed_sysid.likelihood.score_test import ScoreTest, Setting, score_test
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.summary import Procedure, summarise_filtered
@@ -341,7 +347,8 @@ class Study:
     def settle(self, found: FilteredSolution) -> FilteredSolution:
         """Estimate once more, every part of the noise model asked for again."""
         again = solved(found, 25)
-        return admitted(min(again, found, key=lambda one: one.objective), self.setting)
+        likelier = min(again, found, key=lambda one: one.objective)
+        return with_own_times(admitted(likelier, self.setting), self.setting)
 
     def resolved(self, found: FilteredSolution) -> FilteredSolution:
         """The same by steps that resolve all motion; see :mod:`.likelihood.integration`."""

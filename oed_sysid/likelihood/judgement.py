@@ -592,12 +592,12 @@ def _far_values(fit: Estimate) -> Iterator[Found]:
         most = UNPHYSICAL if np.isfinite(fit.std_errors.get(name, 0.0)) else UNSEEN
         limit = most * scale if scale > 0 else 1e15
         if not abs(value) <= max(limit, 1.0):
-            facts = {"value": value, "unit": f" {parameter.unit}".rstrip(), "cure": ""}
-            if scale > 0.0 and parameter.scale is None and not fit.nominal[name]:
-                facts["cure"] = (
-                    f" It starts at zero, so that its size was taken to be {scale:g}; if it may be "
-                    f"as large, say Parameter({name!r}, ..., scale={abs(value):.0e})."
-                )
+            assumed = scale > 0.0 and parameter.scale is None and not fit.nominal[name]
+            cure = (
+                f" It starts at zero, so that its size was taken to be {scale:g}; if it may be as "
+                f"large, say Parameter({name!r}, ..., scale={abs(value):.0e})."
+            )
+            facts = {"value": value, "unit": f" {parameter.unit}".rstrip(), "cure": assumed * cure}
             yield Found(abs(value) / (scale or 1.0), name, facts=facts)
 
 

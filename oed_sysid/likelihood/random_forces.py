@@ -146,7 +146,7 @@ def fit_disturbed(
     if best.finite is None:
         return best
     best = admitted(best, setting)
-    apart = admitted(best, setting, {own_times: None})
+    apart = with_own_times(best, setting)
     if apart is stayed or not polish:
         return apart
     end = _polished(apart, polish)
@@ -555,6 +555,11 @@ def inputs_for_forces(found: FilteredSolution, setting: Setting) -> Filtered | N
     return problem if _more(found, problem) < 0 else None
 
 
+def with_own_times(found: FilteredSolution, setting: Setting) -> FilteredSolution:
+    """Forces of several times where those are likelier; nothing is claimed of them."""
+    return admitted(found, setting, {own_times: None})
+
+
 def own_times(found: FilteredSolution, setting: Setting) -> Filtered | None:
     """A time of its own for every disturbance that acts."""
     noise, levels = found.noise, found.problem.levels
@@ -761,7 +766,7 @@ def _clearly_a_sea(sea: FilteredSolution, found: FilteredSolution, setting: Sett
     if _clearer(sea, found, setting):
         return True
     both = admitted(sea, setting, {one_wave: 2.0 * WORTH, beside_a_sea: WORTH})
-    gusts = admitted(found, setting, {own_times: None})
+    gusts = with_own_times(found, setting)
     return both is not sea and _clearer(both, gusts, setting)
 
 
