@@ -37,7 +37,7 @@ from itertools import compress
 import numpy as np
 from scipy.special import chdtrc, chdtri, comb
 
-from oed_sysid.compiled.filtering import FORCE_VARIANCE, SHAPES
+from oed_sysid.compiled.filtering import FORCE_VARIANCE, FOURTH, SHAPES
 from oed_sysid.data.record import Record
 from oed_sysid.likelihood.between_records import CHANCE, FEWEST, WORTH_TELLING
 from oed_sysid.likelihood.departures import TWOFOLD
@@ -190,8 +190,8 @@ def _raced_to_sea(
     """The likeliest end with forces of first order, or with a sea where there is one."""
     best = _raced(beginnings, min(setting.max_iterations, FIRST_STEPS), progress)
     if best.finite is not None:
-        start = FilteredSolution(min(beginnings, key=lambda one: one.cost), 0, "iterations")
-        best = with_sea(best, setting, (best, start))
+        starts = (FilteredSolution(one, 0, "iterations") for one in beginnings)
+        best = with_sea(best, setting, (best, *starts))
     left = setting.max_iterations - FIRST_STEPS
     if best.reason != "iterations" or left <= 0:
         return best
@@ -926,8 +926,11 @@ def _at_sea(
         sea, _ = _likeliest_sea(found, setting, alone, sea)
     # Everything else first, lest period and width follow its misfit.
     held = replace(known, period=sea.period, bandwidth=sea.bandwidth)
-    noise = replace(alone, seas=(sea,))
-    tried = [again(one, noise, held, FIRST_STEPS) for one in begin]
+    # One of a resonator's shapes may lead off where the other leads straight on.
+    pairs = [shape for shape, turns in SHAPES.items() if turns != FOURTH]
+    seas = [replace(sea, shape=shape) for shape in ([known.shape] if known.shape else pairs)]
+    noises = [replace(alone, seas=(one,)) for one in seas]
+    tried = [again(one, noise, held, FIRST_STEPS) for noise in noises for one in begin]
     near = min(tried, key=lambda one: one.cost)
     if near.finite is None:
         return near
