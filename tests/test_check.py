@@ -220,19 +220,6 @@ def test_turned_velocities_and_a_heading_that_is_off_are_one_group(angle: float)
     assert abs(size) == pytest.approx(angle, abs=0.5)
 
 
-@pytest.mark.parametrize("factor", [-0.3, *slow(-2.0, 12.0, 60.0, 170.0)])
-def test_a_velocity_off_by_any_factor_is_named_as_that(factor: float) -> None:
-    """A factor that is no unit is a scale, and a sign where it is negative: nothing else."""
-    data = altered(pair(SHIP), v=lambda record: factor * record.output("v"))
-    found = check(data, SHIP.model, inputs=False)
-    told = {(one.kind, one.signals): one.size for one in found.serious}
-    signs, scale = [("sign", ("v",))] * (factor < 0.0), told[("scale", ("v",))]
-    assert told.keys() == {*signs, ("scale", ("v",))}
-    assert 1.0 + scale == pytest.approx(abs(factor), rel=0.02)
-    copy = corrected_copies(data, SHIP.model, found)[0]
-    assert np.std(copy[0].output("v")) == pytest.approx(np.std(pair(SHIP)[0].output("v")), rel=0.02)
-
-
 def test_sensor_effect_of_the_model_is_no_alarm() -> None:
     """A bias that the model allows for is told, but does not make the log suspect."""
     model = DIVER.model + sensor_bias("bias_q", "q", "rad/s", scale=0.01)

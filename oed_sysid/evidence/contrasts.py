@@ -154,13 +154,7 @@ class Motion:
     rate is the right side of the equation.
     """
 
-    def __init__(
-        self,
-        trace: Trace,
-        relations: tuple[Relation, ...],
-        factors: Mapping[str, float] | None = None,
-    ) -> None:
-        self.factors = factors or {}
+    def __init__(self, trace: Trace, relations: tuple[Relation, ...]) -> None:
         names = [*names_of(relations), *(logged(n) for r in relations for n in r.driven)]
         self.trace, self.elapsed = trace, trace.times - trace.times[0]
         self.raw = trace.filled(n for n in names if n in trace.values)
@@ -225,11 +219,7 @@ def _turned(one: Candidate, m: Motion) -> dict[str, np.ndarray]:
 
 def _scaled(one: Candidate, m: Motion) -> dict[str, np.ndarray]:
     trace = m.trace
-    # Of a share more of what was logged, as much less of what was undone is seen.
-    return {
-        n: (m.values[n] - pivot(trace.values[n], trace.units[n])) / m.factors.get(n, 1.0)
-        for n in one.signals
-    }
+    return {n: m.values[n] - pivot(trace.values[n], trace.units[n]) for n in one.signals}
 
 
 def _lagging(one: Candidate, m: Motion) -> dict[str, np.ndarray]:
@@ -493,7 +483,7 @@ def contrasts(
     if trace.times.size < LEAST:
         return
     factors = factors or {}
-    motion = Motion(trace, relations, factors)
+    motion = Motion(trace, relations)
     every = {k: SHAPES[f.kind](f, motion) for k, f in enumerate(faults) if motion.has(f)}
     for index, right in motion.right.items():
         relation = relations[index]
@@ -842,8 +832,7 @@ class System:
             # What cannot be told by these records is a rival, however seldom it is so large.
             usual = self.of("plausible")
             short = own[i] + (size[i] / usual[k]) ** 2 - gain - (other / usual) ** 2
-            near = (self._own(other) >= self.least(error)) & (short < max(CLOSE, ABSORBED * own[i]))
-            near[list(chosen)] = False
+            near = self.able(chosen, other, error) & (short < CLOSE)
             told: dict[tuple[object, ...], Found] = {}
             for j in sorted(np.flatnonzero(near).tolist(), key=lambda j: -gain[j]):
                 f = self.faults[j]
@@ -879,7 +868,7 @@ class System:
     @cached_property
     def _numbers(self) -> dict[str, np.ndarray]:
         """Numbers of all candidates, ``(n,)`` each."""
-        names = ("plausible", "largest", "material", "rare", "positive", "placed")
+        names = ("plausible", "largest", "material", "rare", "positive")
         return {name: np.array([getattr(one, name) for one in self.faults]) for name in names}
 
     def _inverse(self, chosen: Sequence[int]) -> np.ndarray:
@@ -933,9 +922,9 @@ class System:
         told = np.sqrt(self.limits) * np.where(error > 0.0, error, np.inf)
         return [*zip(self.faults, np.maximum(told, self.least(error)).tolist(), strict=True)]
 
-    def least(self, std: np.ndarray, chosen: Sequence[int] | slice = slice(None)) -> np.ndarray:
+    def least(self, std: np.ndarray) -> np.ndarray:
         """Least sizes that matter, and that noise in a regressor or the sampling does not make."""
-        return self.of("material")[chosen] + 1.5 * std**2 * self.doubt[chosen]
+        return self.of("material") + 1.5 * std**2 * self.doubt
 
     def anywhere(self, chosen: Sequence[int]) -> list[tuple[Candidate, float]]:
         """What may begin at any place, with the size that would be seen at the median of them."""
@@ -952,15 +941,6 @@ class System:
             if k >= len(self.gram):
                 best.setdefault((one.kind, one.signals, one.record), one)
         return [*best.values()][:MOST_FAULTS]
-
-    def _worth(self, gain: np.ndarray) -> np.ndarray:
-        """Statistics less what rarer faults of whole records have to tell more.
-
-        That are their odds, and a thousandth of the statistic, by which linear scores may be off.
-        """
-        rare = self.of("rare")
-        whole = (rare > 0.0) & ~self.of("placed")
-        return gain - rare - whole * ABSORBED * gain
 
     def price(self, chosen: Sequence[int]) -> np.ndarray:
         """What each has to gain beside a set that gains so much."""
@@ -979,14 +959,14 @@ class System:
     def _added(self, now: list[int]) -> list[int]:
         gain, size, std = self.beside(now)
         pays = self.able(now, size, std) & (gain > self.price(now))
-        best = int(np.argmax(np.where(pays, self._worth(gain), -np.inf)))
+        best = int(np.argmax(np.where(pays, gain - self.of("rare"), -np.inf)))
         return [*now, best] if pays[best] and len(now) < MOST_FAULTS else now
 
     def _exchanged(self, now: list[int]) -> list[int]:
         for k in tuple(now):
             rest = [j for j in now if j != k]
             gain, size, std = self.beside(rest)
-            worth = self._worth(gain)
+            worth = gain - self.of("rare")
             better = np.where(self.able(rest, size, std), worth, -np.inf)
             best = int(np.argmax(better))
             if better[best] > worth[k] + 0.1 and self.faults[k].material > 0.0:
@@ -994,12 +974,11 @@ class System:
         return now
 
     def _dropped(self, now: list[int]) -> list[int]:
-        most = 1.5 * self.of("largest")
+        least, most = self.of("material"), 1.5 * LARGEST * self.of("plausible")
         while now:
             size, _, gain = self.sizes(now)
             short, own = gain - self.price(now)[now], self._own(size, now)
-            least = self.least(self._inverse(now).diagonal() ** 0.5, now)
-            small = (short < 0.0) | (own < least) | (own > most[now])
+            small = (short < 0.0) | (own < least[now]) | (own > most[now])
             if not small.any():
                 return now
             now = [k for k in now if k != now[int(np.argmin(np.where(small, short, np.inf)))]]

@@ -21,8 +21,8 @@ from oed_sysid.physics.model import Model
 
 # What happened last on the way from the vehicle to the log is undone first.
 ORDER = (
-    "blank", "step", "burst", "swap", "sign", "unit", "offset", "frame", "scale", "delay", "lag",
-    "rate", "bias", "lost", "misalignment", "lever", "drift",
+    "blank", "step", "burst", "swap", "sign", "unit", "offset", "frame", "delay", "lag", "rate",
+    "bias", "scale", "lost", "misalignment", "lever", "drift",
 )  # fmt: skip
 
 
@@ -40,11 +40,9 @@ def undo(
 
 def _noise(noise: dict[str, float], one: Correction) -> dict[str, float]:
     """Noise levels that a correction changes."""
-    changed = one.kind in ("unit", "scale", "swap", "frame")
-    levels = [noise[name] for name in one.signals] if changed else []
-    if one.kind in ("unit", "scale"):
-        factor = one.value if one.kind == "unit" else 1.0 / (1.0 + one.value)
-        levels = [abs(factor) * level for level in levels]
+    levels = [noise[name] for name in one.signals] if one.kind in ("unit", "swap", "frame") else []
+    if one.kind == "unit":
+        levels = [abs(one.value) * level for level in levels]
     elif one.kind == "swap":
         levels.reverse()
     elif levels:

@@ -29,7 +29,6 @@ from oed_sysid.evidence.contrasts import (
     Candidate,
     Found,
     Noise,
-    Piece,
     Question,
     Result,
     contrasts,
@@ -40,7 +39,6 @@ from oed_sysid.evidence.corrections import undo
 from oed_sysid.evidence.relations import READINGS, Relation
 from oed_sysid.evidence.result import Correction
 from oed_sysid.evidence.traces import Trace, units_of
-from oed_sysid.likelihood.projection import ABSORBED
 from oed_sysid.runtime.constants import NEGLIGIBLE
 
 
@@ -58,7 +56,7 @@ def diagnosed(traces: Sequence[Trace], question: Question) -> tuple[list[Found],
         found = [*found, *named]
         right = mended(traces, found, question.relations)
         best = search(right, question)
-    return _joined(found, _unopposed(best, right, question), units_of(traces))
+    return found, _unopposed(best, right, question)
 
 
 def _unopposed(end: Result, traces: Sequence[Trace], question: Question) -> Result:
@@ -96,35 +94,14 @@ def _as_units(one: Found, units: Mapping[str, str]) -> list[Found]:
     lost = fault.kind == "lost"
     by = 1.0 - one.size if lost else 1.0 / (1.0 + one.size)
     error = one.std if lost else one.std * by**2
-    factors = [*READINGS.get(units[names[0]], ()), *[(-1.0, "")] * (lost or by < 0.0)]
+    factors = [*READINGS.get(units[names[0]], ()), *[(-1.0, "")] * lost]
     near = [
         Found(Candidate("unit" if factor > 0.0 else "sign", names, meaning=meaning), factor)
         for factor, meaning in factors
-        # What may be no effect at all is no other unit; whatever its size, a sign is one.
-        if (factor < 0.0 and not lost)
-        or (abs(by - factor) < max(NEGLIGIBLE * abs(by), 3.0 * error) and 3.0 * error < abs(by))
+        # What may be no effect at all is no other unit.
+        if abs(by - factor) < max(NEGLIGIBLE * abs(by), 3.0 * error) and 3.0 * error < abs(by)
     ]
-    return [replace(reading, gain=one.gain, rivals=one.rivals) for reading in near[:1]]
-
-
-def _joined(
-    found: Sequence[Found], end: Result, units: Mapping[str, str]
-) -> tuple[list[Found], Result]:
-    """Readings and sizes, of a signal that is far off in one: its scale as such, or as a unit."""
-    alone = [one for one in found if one.candidate.kind == "scale"]
-    readings, sized = [one for one in found if one not in alone], [*end.found]
-    for far in alone:
-        rest = [one for one in sized if one.candidate == far.candidate]
-        sized = [one for one in sized if one not in rest]
-        factor = math.prod(1.0 + one.size for one in (far, *rest))
-        std = rest[-1].std if rest else 0.5 * NEGLIGIBLE
-        whole = replace(far, size=factor - 1.0, std=std * abs(factor))
-        named = _as_units(whole, units)
-        share = factor * math.prod(one.size for one in named) - 1.0
-        readings += named
-        if abs(share) > NEGLIGIBLE:
-            sized.insert(0, replace(whole, size=share))
-    return readings, replace(end, found=tuple(sized))
+    return [replace(reading, gain=one.gain) for reading in near[:1]]
 
 
 @dataclass(frozen=True)
@@ -187,39 +164,26 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Found], l
     start : list of Found
         A large delay, which competes with readings: its size is for :func:`search` to find.
     """
-    # What a nominal model says of the motion between samples changes with the units of its states.
-    plain = tuple(replace(one, model=None) for one in question.relations)
-    question = replace(question, relations=plain)
-    level = [undo(trace, question.known) for trace in traces]
+    late, level = [*_late(question)], [undo(trace, question.known) for trace in traces]
     shared, coarse = replace(question, single=(), local=(), known=()), _coarse(level, question)
     found = list[Found]()
     for _ in range(3 if question.readings else 0):
         evidence = Evidence(question, coarse)
-        best, *others = evidence.ranked(question.readings)
+        best, *others = evidence.ranked((*question.readings, *late))
         # What chance exceeds rarely, however many readings are tried.
         limit = 2.0 * math.log((1 + len(others)) / FALSE_CLAIMS)
-        large = evidence.ranked((*_late(question), *_far_scales(coarse, question)))
-        # A size that is estimated costs what tells explanations apart.
-        if large and large[0].gain > max(limit, best.gain + CLOSE):
-            if large[0].candidate.kind != "scale":
-                return found, large[:1]
-            best, *others = (one for one in large if one.candidate.kind == "scale")
         if best.gain <= limit:
             break
+        if best.candidate in question.common:
+            return found, [best]
         sized = [one.correction for one in search(coarse, shared).found]
-        if best.gain < limit + max(0.0, evidence.gained(sized) - CLOSE * (len(sized) - 1)):
+        if best.gain < limit + max(0.0, evidence.gained(sized)):
             break
-        found.append(replace(best, rivals=_near(best, others)))
+        near = (one for one in others if one.gain > best.gain - CLOSE)
+        rivals = tuple(one for one in near if one.candidate not in question.common)
+        found.append(replace(best, rivals=rivals))
         coarse = mended(coarse, [best], question.relations)
     return found, []
-
-
-def _near(best: Found, others: Sequence[Found]) -> tuple[Found, ...]:
-    """Other readings that tell nearly as much as the best one, of each the likeliest."""
-    short = max(CLOSE, ABSORBED * best.gain)
-    near = {one.candidate: one for one in reversed(others) if one.gain > best.gain - short}
-    near.pop(best.candidate, None)
-    return tuple(reversed(near.values()))
 
 
 def _coarse(traces: Sequence[Trace], question: Question) -> list[Trace]:
@@ -243,36 +207,6 @@ def _nearer(traces: Sequence[Trace], question: Question) -> bool:
         return False
     evidence = Evidence(replace(question, given=()), thinned(traces))
     return any(evidence.gained([one.correction]) > 0.0 for one in question.readings)
-
-
-def _far_scales(traces: Sequence[Trace], question: Question) -> Iterator[Found]:
-    """Scales by more than faults usually have that leave least of the changes of left sides.
-
-    A factor may be any, and is none to be linearised: what is fitted to a contrast is a share of
-    what was logged of the right side, of the left side one of what should have been.
-    """
-    scales = [one for one in question.common if one.kind == "scale"]
-    pieces = [piece for t in traces for piece in contrasts(t, question.relations, scales)]
-    for (k, fault), (index, relation) in product(enumerate(scales), enumerate(question.relations)):
-        mine = [piece for piece in pieces if piece.relation == index]
-        factor = _factor(mine, k, of_left=fault.signals[0] == relation.target)
-        most = 1.0 + fault.largest
-        # Nothing is of no scale, and small errors are for the search.
-        if factor and not 1.0 / most < factor < most:
-            yield Found(fault, factor - 1.0)
-
-
-def _factor(pieces: Sequence[Piece], fault: int, *, of_left: bool) -> float:
-    """Factor on a signal that leaves least of some contrasts; zero where none shows it."""
-    power, along = 0.0, 0.0
-    for piece in pieces:
-        column = piece.columns_of(np.array([fault]))[:, 0]
-        power += float(piece.weight @ column**2)
-        along += float(piece.weight @ (column * piece.residual))
-    if not power:
-        return 0.0
-    whole = 1.0 + (along if of_left else -along) / power
-    return whole if of_left or not whole else 1.0 / whole
 
 
 def _late(question: Question) -> Iterator[Found]:

@@ -926,16 +926,16 @@ def _at_sea(
         sea, _ = _likeliest_sea(found, setting, alone, sea)
     # Everything else first, lest period and width follow its misfit.
     held = replace(known, period=sea.period, bandwidth=sea.bandwidth)
+    shapes = [known.shape] if known.shape else [*SHAPES]
     # One of a resonator's shapes may lead off where the other leads straight on.
-    pairs = [shape for shape, turns in SHAPES.items() if turns != FOURTH]
-    seas = [replace(sea, shape=shape) for shape in ([known.shape] if known.shape else pairs)]
-    noises = [replace(alone, seas=(one,)) for one in seas]
+    pairs = [shape for shape in shapes if SHAPES[shape] != FOURTH] or shapes
+    noises = [replace(alone, seas=(replace(sea, shape=shape),)) for shape in pairs]
     tried = [again(one, noise, held, FIRST_STEPS) for noise in noises for one in begin]
     near = min(tried, key=lambda one: one.cost)
     if near.finite is None:
         return near
     noise, free = near.noise, replace(known, shape=None)
-    shaped = [replace(noise.seas[0], shape=s) for s in ([known.shape] if known.shape else SHAPES)]
+    shaped = [replace(noise.seas[0], shape=shape) for shape in shapes]
     looked = [again(near, replace(noise, seas=(one,)), free, FEW) for one in shaped]
 
     to_the_end = partial(solved, most=setting.max_iterations)
