@@ -81,6 +81,7 @@ from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
 from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.integration import step_change
 from oed_sysid.likelihood.laws import departures_beside, laws_of, loss_without, posed_again
+from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.unknown import random_effects
 from oed_sysid.runtime.constants import BEYOND, IMMATERIAL, MATERIAL, NEGLIGIBLE
 from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
@@ -592,13 +593,20 @@ def _far_values(fit: Estimate) -> Iterator[Found]:
         most = UNPHYSICAL if np.isfinite(fit.std_errors.get(name, 0.0)) else UNSEEN
         limit = most * scale if scale > 0 else 1e15
         if not abs(value) <= max(limit, 1.0):
-            assumed = scale > 0.0 and parameter.scale is None and not fit.nominal[name]
-            cure = (
-                f" It starts at zero, so that its size was taken to be {scale:g}; if it may be as "
-                f"large, say Parameter({name!r}, ..., scale={abs(value):.0e})."
-            )
-            facts = {"value": value, "unit": f" {parameter.unit}".rstrip(), "cure": assumed * cure}
+            cure = _scale_to_say(parameter, fit, scale)
+            facts = {"value": value, "unit": f" {parameter.unit}".rstrip(), "cure": cure}
             yield Found(abs(value) / (scale or 1.0), name, facts=facts)
+
+
+def _scale_to_say(parameter: Parameter, fit: Estimate, taken: float) -> str:
+    """What to say of a parameter that starts at zero, whose size was ``taken``; often nothing."""
+    name = parameter.name
+    if not taken > 0.0 or parameter.scale is not None or fit.nominal[name]:
+        return ""
+    return (
+        f" It starts at zero, so that its size was taken to be {taken:g}; if it may be as large, "
+        f"say Parameter({name!r}, ..., scale={abs(fit.values[name]):.0e})."
+    )
 
 
 def _far_outputs(fit: Estimate) -> Iterator[Found]:

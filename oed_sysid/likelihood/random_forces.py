@@ -732,10 +732,10 @@ def with_sea(
     sea = min(ends, key=lambda one: one.restricted)
     if sea.finite is None:
         return found
-    if not (setting.seas or _clearly_a_sea(sea, found, setting)):
+    waves = admitted(sea, setting, {one_wave: 2.0 * WORTH})
+    if not (setting.seas or _clearly_a_sea(sea, waves, found, setting)):
         return found
-    together = _of_each_record(admitted(sea, setting, {one_wave: 2.0 * WORTH}), setting)
-    together = admitted(together, setting, {without_tails: 0.0})
+    together = admitted(_of_each_record(waves, setting), setting, {without_tails: 0.0})
     return together if setting.seas else admitted(together, setting, {beside_a_sea: WORTH})
 
 
@@ -758,16 +758,18 @@ def _of_each_record(found: FilteredSolution, setting: Setting) -> FilteredSoluti
     return found if broad or _fall(found, again) < least else again
 
 
-def _clearly_a_sea(sea: FilteredSolution, found: FilteredSolution, setting: Setting) -> bool:
+def _clearly_a_sea(
+    sea: FilteredSolution, waves: FilteredSolution, found: FilteredSolution, setting: Setting
+) -> bool:
     """Whether a sea is clearly likelier than forces of first order, or is so beside them.
 
-    Waves alone may explain less than gusts of like size, which may be of several times, too.
+    Waves alone, in several places perhaps one, may explain less than gusts of like size, which may
+    be of several times, too.
     """
     if _clearer(sea, found, setting):
         return True
-    both = admitted(sea, setting, {one_wave: 2.0 * WORTH, beside_a_sea: WORTH})
-    gusts = with_own_times(found, setting)
-    return both is not sea and _clearer(both, gusts, setting)
+    both = admitted(waves, setting, {beside_a_sea: WORTH})
+    return both is not sea and _clearer(both, with_own_times(found, setting), setting)
 
 
 def _clearer(sea: FilteredSolution, found: FilteredSolution, setting: Setting) -> bool:
