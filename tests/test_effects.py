@@ -575,6 +575,25 @@ def states(
     return times, motion.ran(model, times, inputs, [phi, 0.0]).states
 
 
+@pytest.mark.parametrize(
+    ("effect", "value", "bounds", "fixed"),
+    [
+        (effects.coulomb_friction("f", "X", "u", smooth=0.2), 0.2, (-math.inf, math.inf), True),
+        (effects.coulomb_friction("f", "X", "u", smooth=0.2, span=4), 0.2, (0.05, 0.8), False),
+        (effects.end_stop("stop", "X", "x", reach=2.0), 1.4, (0.6, 2.0), False),
+        (effects.wave_force("w", "Z", frequency=2.0, spread=0.5), 2.0, (1.0, 3.0), False),
+        (effects.fluid_memory("m", "Z", "w"), 2.0, (0.05, 60.0), True),
+    ],
+)
+def test_parameters_of_a_row_follow_its_arguments(
+    effect: Effect, value: float, bounds: tuple[float, float], fixed: bool
+) -> None:
+    """What a row says of a parameter beside the amplitude are formulas of the arguments."""
+    found = effect.parameters[-1]
+    assert (found.value, found.lower, found.upper) == pytest.approx((value, *bounds))
+    assert found.fixed == fixed
+
+
 def test_dry_friction_takes_the_same_from_every_swing() -> None:
     """The amplitude of a free swing falls by 2 F/k at each half turn, as Coulomb's law says."""
     friction = effects.coulomb_friction("dry", "K", "p", unit="N m", value=0.1, smooth=0.001)

@@ -13,7 +13,6 @@ well below the velocities that matter and the integration step well below :math:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -23,17 +22,6 @@ from oed_sysid.physics.base import Actuator, Environment, Force, Inertia, amplit
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.signals import actuator_offset
 from oed_sysid.text import notation
-
-_NORRBIN = "Norrbin (1971), Theory and observations on the use of a mathematical model, SSPA 68."
-_BECH = "Bech & Wagner Smith (1969), Analogue simulation of ship manoeuvres, HyA report Hy-14."
-
-_AIR_DENSITY = 1.225  # kg/m3, ICAO standard atmosphere at sea level
-
-
-def _fixed(name: str, value: float, unit: str, words: str = "", **bounds: Any) -> Parameter:
-    """A known constant of an effect; free it to estimate it."""
-    return Parameter(name, value, unit, fixed=True, description=words, **bounds)
-
 
 # Rows of a table: laid out to be read as such.
 # fmt: off
@@ -165,8 +153,7 @@ def hull_compressibility(name: str = "hull_compressibility", *, axes: Sequence[s
     >>> hull_compressibility(axes=["Z"], angle=None).terms
     {'Z': 'E_hull_compressibility*(z - depth_hull_compressibility)'}
     """
-    return {"zero": _fixed(f"depth_{name}", reference, "m", "depth of trim"),
-            "terms": _downward("{E}*({depth} - {zero})", axes, angle)}
+    return {"terms": _downward("{E}*({depth} - {zero})", axes, angle)}
 
 
 # -- mass and added mass ----------------------------------------------------------------
@@ -218,8 +205,7 @@ def fluid_memory(name: str, axis: str, state: str, *, state_unit: str | None = N
     >>> fluid_memory("fluid_memory", "Z", "w").terms
     {'Z': 'E_fluid_memory*(w - mu_fluid_memory)'}
     """
-    return {"unit": notation.unit(f"{axis}_{state}"), "slow": f"mu_{name}",
-            "tau": _fixed(f"tau_{name}", time_constant, "s", lower=0.05, upper=60.0),
+    return {"unit": notation.unit(f"{axis}_{state}"),
             "state_unit": state_unit or ("m/s" if axis in "XYZ" else "rad/s")}
 
 
@@ -241,23 +227,18 @@ def current_down(name: str = "current_vertical", *, flow: tuple[str, str] = ("u_
 @table.row(Environment)
 def current_horizontal_plane(name: str = "current", *, flow: tuple[str, str] = ("u_r", "v_r"),
                              heading: str = "psi", scale: float = 0.3, north: float = 0.0,
-                             east: float = 0.0) -> table.Derived:
+                             east: float = 0.0) -> None:
     """Steady current towards north and east, for a vehicle that turns."""
-    return {f"E_{way[0]}": amplitude(f"{name}_{way}", "m/s", scale=scale, value=value, bound=3.0)
-            for way, value in (("north", north), ("east", east))}
 
 
 @table.row(Force)
 def wave_force(name: str, axis: str, unit: str = "N", *, frequency: float = 1.0,
-               spread: float = 0.4, scale: float = 1.0, per_record: bool = False) -> table.Derived:
+               spread: float = 0.4, scale: float = 1.0, per_record: bool = False) -> None:
     r"""Regular wave, :math:`E_c\cos\omega t + E_s\sin\omega t`, of unknown frequency.
 
     The frequency of encounter may differ from ``frequency`` by the fraction
     ``spread``; ``per_record`` frees amplitude and phase in every record.
     """
-    low, high = frequency * (1 - spread), frequency * (1 + spread)
-    omega = Parameter(f"omega_{name}", frequency, "rad/s", low, high, scale=0.1 * frequency)
-    return {**_phases(name, unit, scale, per_record=per_record), "omega": omega}
 
 
 @table.row(Force)
@@ -304,15 +285,12 @@ def wind_load(name: str, coefficients: Mapping[str, tuple[Sequence[float], Seque
     ``direction`` (from north, clockwise) is where the true wind blows to. Moments are
     multiplied by ``length``. ``E`` is 1 where the tables hold and 0 without any wind load.
     """
-    facts = {"speed": (speed, "m/s"), "direction": (direction, "rad"), "area": (area, "m^2"),
-             "length": (length, "m"), "density": (_AIR_DENSITY, "kg/m^3")}
-    known = {key: _fixed(f"{key}_{name}", x, unit) for key, (x, unit) in facts.items()}
     load = "{E}*{density}/2*{area}*(air_u**2 + air_v**2)"
     lever = {axis: "*{length}" if axis in "KMN" else "" for axis in coefficients}
     terms = {axis: f"{load}*{name}_{axis}(attack){lever[axis]}" for axis in coefficients}
     tables = {f"{name}_{axis}": (np.asarray(x, float), np.asarray(y, float))
               for axis, (x, y) in coefficients.items()}
-    return {**known, "terms": terms, "tables": tables}
+    return {"terms": terms, "tables": tables}
 
 
 # -- propeller and rudder ---------------------------------------------------------------
@@ -335,14 +313,12 @@ def thrust_speed_loss(name: str = "thrust_speed_loss", *, axis: str = "X", thrus
 
 @table.row(Force)
 def propeller_thrust(name: str = "propeller", *, axis: str = "X", revolutions: str = "n",
-                     velocity: str = "u_r", bollard: float, advance: float = 0.0) -> table.Derived:
+                     velocity: str = "u_r", bollard: float, advance: float = 0.0) -> None:
     r"""Thrust of a propeller, :math:`T_{nn}\,n|n| + T_{nu}\,|n|u_r`, for a base model.
 
     ``bollard`` is :math:`\rho D^4 K_{T0}` in kg m and ``advance`` the (negative)
     slope :math:`\rho D^3 K_{TJ}(1-w)` in kg, with ``n`` in 1/s.
     """
-    return {"T_nn": Parameter("T_nn", bollard, "kg m", description="thrust per n|n|"),
-            "T_nu": Parameter("T_nu", advance, "kg", description="thrust per |n|u")}
 
 
 @table.row(Force)
@@ -440,7 +416,7 @@ def nonlinear_yaw_damping(name: str = "nonlinear_yaw_damping", *, axis: str = "N
     return table.derivative_group(
         name, {f"{axis}_{factors[kind]}": scale for kind, scale in scales.items()}, symbols={},
         description="turning rate is no linear function of the rudder angle",
-        source=f"{_NORRBIN} {_BECH}",
+        source=table.SOURCES["NORRBIN"],
         needs="a spiral test, or turns with small and large rudder angles to both sides")
 
 
@@ -450,7 +426,7 @@ def nonlinear_yaw_damping(name: str = "nonlinear_yaw_damping", *, axis: str = "N
 @table.row(Force)
 def coulomb_friction(name: str, axis: str, velocity: str, *, unit: str = "N",
                      velocity_unit: str = "m/s", smooth: float = 0.01, span: float = 1.0,
-                     scale: float = 1.0, value: float = 0.0) -> table.Derived:
+                     scale: float = 1.0, value: float = 0.0) -> None:
     r"""Dry friction, :math:`-E\tanh(v/v_0)`; ``smooth`` is :math:`v_0`.
 
     With a ``span`` above one :math:`v_0` is estimated, between ``smooth`` divided by it and times
@@ -459,60 +435,48 @@ def coulomb_friction(name: str, axis: str, velocity: str, *, unit: str = "N",
     >>> coulomb_friction("dry", "X", "v").terms
     {'X': '-E_dry*tanh(v/v0_dry)'}
     """
-    onset = (f"v0_{name}", smooth, velocity_unit)
-    return {"v0": table.within(*onset, span, "smoothing") if span > 1.0 else
-            _fixed(*onset, "smoothing")}
 
 
 @table.row(Force)
 def stribeck_friction(name: str, axis: str, velocity: str, *, unit: str = "N",
                       velocity_unit: str = "m/s", smooth: float = 0.01, stribeck: float = 0.1,
-                      scale: float = 1.0, value: float = 0.0) -> table.Derived:
+                      scale: float = 1.0, value: float = 0.0) -> None:
     r"""Extra friction near rest, :math:`-E e^{-(v/v_s)^2}\tanh(v/v_0)`.
 
     Added to :func:`coulomb_friction` it makes breakaway larger than sliding friction
     by ``E``; ``stribeck`` is :math:`v_s`, known unless its parameter is freed.
     """
-    return {"v0": _fixed(f"v0_{name}", smooth, velocity_unit, "smoothing"),
-            "vs": _fixed(f"vs_{name}", stribeck, velocity_unit, "Stribeck", lower=smooth)}
 
 
 @table.row(Force)
 def cogging(name: str, axis: str, angle: str, *, periods: int, unit: str = "N m",
-            scale: float = 0.1) -> table.Derived:
+            scale: float = 0.1) -> None:
     r"""Cogging torque, :math:`E_c\cos n\vartheta + E_s\sin n\vartheta`, ``periods`` per turn."""
-    return {**_phases(name, unit, scale),
-            "n": _fixed(f"n_{name}", float(periods), "1", "periods per turn")}
 
 
 @table.row(Force)
 def dead_zone(name: str, axis: str, position: str, *, stiffness: float, unit: str = "m",
               stiffness_unit: str = "N/m", scale: float = 0.01,
-              value: float = 0.0) -> table.Derived:
+              value: float = 0.0) -> None:
     r"""Dead zone of a spring: of a force :math:`-k x` the part within :math:`\pm E` is lost.
 
     The base model holds :math:`-k x` already; this adds :math:`k\,\mathrm{clip}(x, -E, E)`.
     """
-    return {"k": _fixed(f"k_{name}", stiffness, stiffness_unit, "stiffness")}
 
 
 @table.row(Force)
 def end_stop(name: str, axis: str, position: str, *, reach: float, unit: str = "N/m",
-             position_unit: str = "m", scale: float = 1.0, value: float = 0.0) -> table.Derived:
+             position_unit: str = "m", scale: float = 1.0, value: float = 0.0) -> None:
     r"""Stop at an unknown position, :math:`-E\,\operatorname{sgn}(x)\max(|x| - x_s, 0)`.
 
     ``reach`` is the largest position seen: the stop is sought between a third of it and all.
     """
-    words = "where the stop begins"
-    stop = Parameter(f"stop_{name}", 0.7 * reach, position_unit, 0.3 * reach, reach,
-                     scale=0.1 * reach, description=words)
-    return {"stop": stop}
 
 
 @table.row(Force)
 def hidden_lag(name: str, axis: str, signal: str, *, unit: str, signal_unit: str = "1",
                start: str = "0", time_constant: float = 1.0, span: float = 10.0,
-               scale: float = 1.0, value: float = 0.0) -> table.Derived:
+               scale: float = 1.0, value: float = 0.0) -> None:
     r"""Force of a hidden state of first order, :math:`E z`, :math:`\tau \dot z = s - z`.
 
     What a tank, a filter or slow flow does; its pole is estimated, between ``time_constant``
@@ -522,43 +486,35 @@ def hidden_lag(name: str, axis: str, signal: str, *, unit: str, signal_unit: str
     >>> hidden_lag("tank", "K", "p", unit="N m s/rad").terms
     {'K': 'E_tank*z_tank'}
     """
-    tau = table.within(f"tau_{name}", time_constant, "s", span, "time constant")
-    return {"tau": tau, "z": f"z_{name}"}
 
 
 @table.row(Force)
 def hidden_oscillator(name: str, axis: str, signal: str, *, unit: str, signal_unit: str = "1",
                       frequency: float = 1.0, span: float = 5.0, damping: float = 0.2,
-                      scale: float = 1.0, value: float = 0.0) -> table.Derived:
+                      scale: float = 1.0, value: float = 0.0) -> None:
     r"""Force of a hidden state of second order, :math:`E z`.
 
     .. math:: \ddot z = \omega^2 (s - z) - 2 \zeta \omega \dot z
 
     What an anti-roll tank, sloshing or a flexible mast does; frequency and damping are estimated.
     """
-    omega = table.within(f"omega_{name}", frequency, "rad/s", span, "natural frequency")
-    zeta = Parameter(f"zeta_{name}", damping, "1", 0.02, 2.0, log=True, description="damping ratio")
-    return {"omega": omega, "zeta": zeta, "z": f"z_{name}", "rate": f"y_{name}"}
 
 
 @table.row(Force)
 def dahl_friction(name: str, axis: str, velocity: str, *, stiffness: float, unit: str = "N",
                   displacement_unit: str = "m", scale: float = 1.0,
-                  value: float = 0.0) -> table.Derived:
+                  value: float = 0.0) -> None:
     r"""Dry friction with memory (hysteresis), :math:`-E z`, :math:`\dot z = \sigma(v - |v| z)`.
 
     Presliding is elastic with stiffness :math:`E\sigma`; ``stiffness`` is :math:`\sigma`,
     the inverse of the displacement over which friction builds up.
     """
-    words = "inverse of the presliding displacement"
-    sigma = _fixed(f"sigma_{name}", stiffness, f"1/{displacement_unit}", words, lower=0.0)
-    return {"sigma": sigma, "z": f"z_{name}"}
 
 
 @table.row(Force)
 def bouc_wen_hysteresis(name: str, axis: str, velocity: str, *, yielding: float, unit: str = "N",
                         displacement_unit: str = "m", scale: float = 1.0,
-                        value: float = 0.0) -> table.Derived:
+                        value: float = 0.0) -> None:
     r"""Hysteretic restoring force of memory, :math:`-E z` with Bouc and Wen's rule.
 
     .. math:: \dot z = \bigl(v - \tfrac12(|v| |z| z + v z^2)\bigr)/x_y
@@ -566,13 +522,11 @@ def bouc_wen_hysteresis(name: str, axis: str, velocity: str, *, yielding: float,
     the case of equal shape constants and exponent two; ``yielding`` is :math:`x_y`, the
     displacement at which it yields, known unless its parameter is freed.
     """
-    gives = _fixed(f"x_{name}", yielding, displacement_unit, "yielding", lower=1e-6)
-    return {"x": gives, "z": f"z_{name}"}
 
 
 @table.row(Force)
 def delayed_force(name: str, axis: str, signal: str, *, unit: str, start: str, delay: float = 1.0,
-                  scale: float = 1.0, value: float = 0.0) -> table.Derived:
+                  scale: float = 1.0, value: float = 0.0) -> None:
     r"""Force of what a state or signal was a while ago, :math:`E\,x(t - \tau)`.
 
     The delay is Padé's approximation of order 2,
@@ -580,9 +534,6 @@ def delayed_force(name: str, axis: str, signal: str, *, unit: str, start: str, d
     motion, within 1 % up to :math:`\omega\tau = 1.3`. ``start`` is its value before the
     record, an expression of the model's own states; ``unit`` is that of ``E``.
     """
-    low, high = f"low_{name}", f"high_{name}"
-    return {"tau": _fixed(f"tau_{name}", delay, "s", "delay", lower=1e-3), "low": low,
-            "high": high, "second": f"12*({signal} - {low}) - 6*{high}"}
 
 
 # fmt: on
@@ -593,13 +544,3 @@ def _downward(load: str, axes: Sequence[str], angle: str | None) -> dict[str, st
     both = {"X": f"-{load}*sin({angle})", "Z": f"{load}*cos({angle})" if angle else load}
     errors.located(errors.ModelError, "The diving plane has no axis", axes, both)
     return {axis: both[axis] for axis in axes}
-
-
-def _phases(
-    name: str, unit: str, scale: float, *, per_record: bool = False
-) -> dict[str, Parameter]:
-    """Amplitudes of a cosine and a sine."""
-    return {
-        f"E_{part}": amplitude(f"{name}_{part}", unit, scale=scale, per_record=per_record)
-        for part in ("cos", "sin")
-    }

@@ -43,14 +43,13 @@ from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.frames import Matrix, Place, Texts, cross, minus, plus, text_of, times
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
-from oed_sysid.physics.table import FOSSEN, SNAME, hull_derivatives
+from oed_sysid.physics.table import FOSSEN, SNAME, SOURCES, hull_derivatives
 from oed_sysid.runtime.display import counted
 from oed_sysid.text import expressions, notation
 
 Number = float | Parameter
 
 PROPULSION = FOSSEN.replace("control,", "control, ch. 9,")
-PRESTERO = "Prestero (2001), Verification of a six-degree of freedom simulation model, MIT."
 NORMALS: Mapping[str, Place] = {"horizontal": (0, 0, -1), "vertical": (0, 1, 0)}
 
 
@@ -321,7 +320,7 @@ class RigidBody:
             (*parameters, *own),
             definitions={u: ahead, v: into} if v != "0" else {u: ahead},
             description=f"lift{' and drag' if drag is not None else ''} of {name}",
-            source=PRESTERO,
+            source=SOURCES["PRESTERO"],
             needs=f"{deflection} of varied size at several speeds",
             amplitudes=tuple(p.name for p in parameters if not p.fixed),
         )

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from oed_sysid.physics import registers, table
-from oed_sysid.physics.base import Actuator, Memory, Sensor, amplitude
+from oed_sysid.physics.base import Actuator, Sensor, amplitude
 
 # Rows of a table: laid out to be read as such.
 # fmt: off
@@ -41,7 +41,7 @@ def stall(name: str, signal: str, *, scale: float = 2.0, value: float = 0.0) -> 
 
 @table.row(Actuator)
 def actuator_fading(name: str, signal: str | Sequence[str], *, scale: float = 1e-3,
-                    value: float = 0.0) -> table.Derived:
+                    value: float = 0.0) -> None:
     r"""Gain that changes with the time since the record began, :math:`1 + E (t - t_0)`.
 
     Batteries that sag, motors and oil that warm up; of one signal or of several alike.
@@ -49,7 +49,6 @@ def actuator_fading(name: str, signal: str | Sequence[str], *, scale: float = 1e
     >>> actuator_fading("sag", "n").description
     'gain of n changes over each record'
     """
-    return {"began": f"began_{name}", "memory": (Memory(f"began_{name}", f"began_{name}", "t"),)}
 
 
 @table.row(Actuator)
@@ -113,16 +112,11 @@ def unknown_limit(name: str, signal: str, unit: str = "rad", *, scale: float = 3
 
 @table.row(Actuator)
 def actuator_start(name: str, signal: str, unit: str = "rad", *, time_constant: float = 1.0,
-                   span: float = 10.0, scale: float = 0.1) -> table.Derived:
+                   span: float = 10.0, scale: float = 0.1) -> None:
     r"""Start of an actuator beside its first command, which fades, :math:`E_i e^{-t/\tau}`.
 
     Another size in every record; the time constant is estimated.
     """
-    size = amplitude(name, unit, scale=scale, per_record=True)
-    tau = table.within(f"tau_{name}", time_constant, "s", span, "time constant")
-    return {"E": size, "tau": tau, "fading": f"fading_{name}",
-            "memory": (Memory(f"fading_{name}", f"fading_{name}*exp(-h/{tau.name})", "1"),),
-            "amplitudes": (size.name,)}
 
 
 @table.row(Sensor)

@@ -34,7 +34,7 @@ import numpy as np
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.physics.base import Effect, ExtraState, Force, Memory, amplitude
 from oed_sysid.physics.parameters import Parameter
-from oed_sysid.text import notation
+from oed_sysid.text import expressions, notation
 from oed_sysid.text.callables import Table, check_table
 from oed_sysid.text.csv_table import read_table
 from oed_sysid.text.units import parse_header, to_si
@@ -71,13 +71,20 @@ class Row(Generic[Kind]):
         What it contributes, as of :class:`~oed_sysid.physics.Effect`.
     unit : str or None
         Of the amplitude; None where the constructor gives the amplitudes itself.
+    parts : sequence of str
+        Of which there is an amplitude each, such as ``cos`` and ``sin``; an argument of that name
+        is its value.
     size : mapping
         Further facts of the amplitude: ``positive``, ``bound``, ``description``.
     each : str
         Argument that is one signal or several; texts with ``{c}`` are repeated for each, and
         ``{_c}`` tells their names apart.
     definitions, memory : mapping
-        As of an effect; memory begins at the signal.
+        As of an effect; of memory its update and where it begins.
+    parameters : mapping
+        Parameters beside the amplitude, called ``key_name``: the value that they are ``of``,
+        ``unit``, bounds and words; numbers are formulas of the arguments. They are known, so
+        fixed, but for a ``span`` above one: a positive value wrong by a factor of up to it.
     states : sequence of sequence of str
         Name, rate, start and unit of continuous states.
     derivative : str
@@ -95,10 +102,12 @@ class Row(Generic[Kind]):
     description: str = ""
     terms: Mapping[str, str] = field(default_factory=dict)
     unit: str | None = None
+    parts: Sequence[str] = ()
     size: Mapping[str, Any] = field(default_factory=dict)
     each: str = ""
     definitions: Mapping[str, str] = field(default_factory=dict)
-    memory: Mapping[str, str] = field(default_factory=dict)
+    memory: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     states: Sequence[Sequence[str]] = ()
     derivative: str = ""
     symbols: Mapping[str, str] | None = None
@@ -128,18 +137,18 @@ class Row(Generic[Kind]):
         # A letter beside the signal tells several alike apart; one alone needs none.
         each = [known | {"c": one, "_c": f"_{one}" * (len(signals) > 1)} for one in signals]
         scopes = each or [known]
-        memory = tuple(
-            Memory(name.format(**scope), update.format(**scope), scope["c"])
-            for name, update in self.memory.items()
+        memory = [
+            Memory(name.format(**scope), update.format(**scope), begin.format(**scope))
+            for name, (update, begin) in self.memory.items()
             for scope in scopes
-        )
+        ]
         return self.kind(
             arguments["name"],
             _filled(known.get("terms", self.terms), scopes),
             tuple(parameters.values()),
             definitions=known.get("definitions", _filled(self.definitions, scopes)),
             states=tuple(ExtraState(*_formatted(state, known)) for state in self.states),
-            memory=known.get("memory", memory),
+            memory=known.get("memory", tuple(dict.fromkeys(memory))),
             tables=known.get("tables", {}),
             amplitudes=known.get("amplitudes", _amplitudes(parameters)),
             description=self.description.format(**known),
@@ -148,14 +157,30 @@ class Row(Generic[Kind]):
         )
 
     def _parameters(self, known: Mapping[str, Any]) -> dict[str, Parameter]:
-        """The amplitude, where the row has its unit, and parameters that were worked out."""
+        """The amplitude or its parts, where the row has their unit, and further parameters."""
         others = {key: p for key, p in known.items() if isinstance(p, Parameter)}
+        others |= {key: self._parameter(key, known) for key in self.parameters}
         if self.unit is None:
             return others
         own = ("scale", "value", "parameter", "per_record", "bound")
         given = {key: known[key] for key in own if key in known}
-        unit = self.unit.format(**known)
-        return {"E": amplitude(known["name"], unit, **{**given, **self.size}), **others}
+        facts = {"unit": self.unit.format(**known), **given, **self.size}
+        sizes = {} if self.parts else {"E": amplitude(known["name"], **facts)}
+        for part in self.parts:
+            value = known.get(part, facts.get("value", 0.0))
+            sizes[f"E_{part}"] = amplitude(f"{known['name']}_{part}", **facts | {"value": value})
+        return sizes | others
+
+    def _parameter(self, key: str, known: Mapping[str, Any]) -> Parameter:
+        """The parameter of this key, from formulas of the arguments."""
+        facts = {"name": f"{key}_{{name}}", "fixed": True, **self.parameters[key]}
+        facts |= {text: facts[text].format(**known) for text in ("name", "unit")}
+        for number in facts.keys() & {"of", "span", "lower", "upper", "scale"}:
+            facts[number] = float(expressions.to_numpy(str(facts[number]), known))
+        value, span = facts.pop("of"), facts.pop("span", 1.0)
+        if span > 1.0:
+            facts |= {"lower": value / span, "upper": value * span, "log": True, "fixed": False}
+        return Parameter(value=value, **facts)
 
     def force(self, arguments: Mapping[str, Any], derived: Mapping[str, Any]) -> Force:
         """The effect of one hydrodynamic derivative."""
@@ -231,12 +256,6 @@ def _filled(texts: Mapping[Any, str], scopes: Sequence[Mapping[str, Any]]) -> di
             place = tuple(_formatted(key, scope)) if isinstance(key, tuple) else key.format(**scope)
             found[place] = text.format(**scope)
     return found
-
-
-def within(name: str, value: float, unit: str, span: float, words: str) -> Parameter:
-    """A positive parameter that may be wrong by a factor of up to ``span``."""
-    bounds = value / span, value * span
-    return Parameter(name, value, unit, *bounds, log=True, description=words)
 
 
 def channels(signal: str | Sequence[str]) -> tuple[str, ...]:
