@@ -49,7 +49,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.special import ndtr
 
-from oed_sysid.design.criteria import SURE
+from oed_sysid.design.criteria import SAYS, SURE
 from oed_sysid.design.vehicles import (
     DOUBT,
     LimitBounds,
@@ -219,10 +219,7 @@ class Assurance:
         if not self.limited:
             return NO_LIMIT
         doubt = f", priors {DOUBT:g} times too narrow included" if self.doubted.any() else ""
-        words = (
-            f"limits kept on {self.probability:.1%} of {self.n_checked} simulated vehicles with "
-            f"{self.drawn} (at least {self.at_least:.1%} with 95 % confidence{doubt})"
-        )
+        words: str = SAYS["limits_kept"].format(self, doubt=doubt)
         if not self.is_enough:
             words += f", LESS than the {self.wanted:.0%} asked for"
         if self.left:
@@ -232,12 +229,7 @@ class Assurance:
     @property
     def danger(self) -> str:
         """What stands first and in red where limits are likely to be left; empty where not."""
-        if self.is_safe:
-            return ""
-        return (
-            f"DANGER: on {1 - self.probability:.0%} of the vehicles that are possible "
-            f"({self.drawn}) this run leaves its limits."
-        )
+        return "" if self.is_safe else SAYS["danger"].format(self, left=1 - self.probability)
 
     to_dict = as_dict(
         "n_kept", "n_checked", "at_least", "wanted", "spread", "left", "waves", "ranges",
@@ -465,11 +457,8 @@ class PredictedTracks:
             port, starboard = abs(min(first, 0.0)), max(last, 0.0)
             lines.append(f"to port {self._far(port)}, to starboard {self._far(starboard)}")
         spread = np.abs(self.plausible - self.nominal).max(axis=(1, 2))
-        lines.append(
-            f"other vehicles are up to {self._far(float(np.quantile(spread, 1 - _TAIL)))} from the "
-            f"drawn track ({len(self.plausible)} simulated; no steady current)"
-        )
-        return lines
+        far = self._far(float(np.quantile(spread, 1 - _TAIL)))
+        return [*lines, SAYS["tracks_differ"].format(far=far, n=len(self.plausible))]
 
     def _far(self, metres: float) -> str:
         text = f"{metres:.3g} m"

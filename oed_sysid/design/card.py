@@ -22,6 +22,7 @@ from textwrap import wrap
 import numpy as np
 
 from oed_sysid.design.assurance import Assurance, PredictedTracks
+from oed_sysid.design.criteria import SAYS
 from oed_sysid.design.vehicles import between, outside, quantity, span, units_of
 from oed_sysid.errors import listed
 from oed_sysid.experiments.experiment import Experiment, Limits
@@ -37,27 +38,6 @@ WIDTH = 92
 BY_HAND = 10.0
 # To which side a vehicle turns under a command, by the rate that follows it.
 _SIDES = {"r": ("to port", "to starboard"), "q": ("bow down", "bow up")}
-NO_LIMIT = (
-    "NO LIMIT on the motion was given. Compare the ranges above with what depth, attitude and sea "
-    "room allow; in doubt design anew with limits (such as --max-pitch 20)."
-)
-NOT_SAFE = (
-    "That is NOT safe unless the coefficients are known better: stand by to stop, and fly a run of "
-    "gentler commands or at a lower speed first, from whose fit this one is designed anew."
-)
-STOP = (
-    "Stop when a limit is passed: controls at trim, recover, keep the log. Part of a run is useful."
-)
-# What a record of a trial states beside its log: ITTC 7.5-04-02-01, full-scale manoeuvring trials.
-RECORD = (
-    ("date, time, place, depth of the water", "wind, waves, current: size and direction"),
-    ("draughts fore and aft or ballast, trim", "speed [knots] and rpm before the first order"),
-    ("battery or engine, control settings", "anything touched during the run"),
-)
-STANDARD = (
-    "The standards of IMO MSC.137(76) are for runs in deep, unrestricted, calm water, fully loaded "
-    "on even keel, after a steady approach."
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,8 +162,8 @@ class TrialCard:
 
     def _record(self) -> Section:
         """What people write beside the log; of a ship also where standards apply to her."""
-        rows = [tuple(f"{what}:" for what in row) for row in RECORD]
-        words = [STANDARD] if "z" not in self.model.state_names else []
+        rows = [tuple(row) for row in SAYS["record"]]
+        words = [SAYS["standard_conditions"]] if "z" not in self.model.state_names else []
         title = "WRITE DOWN (ITTC 7.5-04-02-01)"
         return Section(title, words, (Table(("", ""), rows, words=(0, 1)),), heading=True, indent=2)
 
@@ -273,11 +253,12 @@ class TrialCard:
     def _watch(self) -> list[str]:
         """What is reached, how surely limits are kept, and when to stop."""
         limits, safe = self.experiment.limits.signals, self.assurance
-        words = [] if limits else [NO_LIMIT]
+        words = [] if limits else [SAYS["no_limit_given"]]
         if safe is not None and limits:
-            words += [f"Certainty: {safe.report()}.", *([] if safe.is_safe else [NOT_SAFE])]
+            words += [f"Certainty: {safe.report()}."]
+            words += [] if safe.is_safe else [SAYS["not_safe"]]
         words += [f"reached in the prediction: {text}" for text in self.active]
-        return [*words, STOP] if limits else words
+        return [*words, SAYS["stop"]] if limits else words
 
     def _aborts(self) -> Section:
         """Where the crew stops, and how often that happens."""

@@ -56,9 +56,11 @@ Sinica 7), so that the bound of :mod:`oed_sysid.design.allocation` covers progra
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from scipy.special import chdtri, chndtr, chndtrinc, ndtr
@@ -73,6 +75,8 @@ from oed_sysid.physics.model import Model
 from oed_sysid.runtime.constants import IMMATERIAL, RANK_TOLERANCE
 from oed_sysid.runtime.display import Section, Table, as_dict
 
+# Sentences of designs.
+SAYS: dict[str, Any] = tomllib.loads(Path(__file__).with_name("sentences.toml").read_text("utf-8"))
 # Information that counts as none, in units of (relative error)**-2.
 NOTHING = RANK_TOLERANCE**2
 
@@ -758,10 +762,7 @@ def missing_physics(
         for one in sorted(chances, key=lambda one: one.before - one.after)
     ]  # fmt: skip
     before, after = shown(chances)
-    lines.append(
-        f"{after} of {len(chances)} effects would show at their usual size with 90 % or more, "
-        f"{before} before."
-    )
+    lines.append(SAYS["effects_show"].format(after=after, n=len(chances), before=before))
     if hidden := [one.name for one in chances if one.after < 0.5]:
         lines.append(f"Would stay hidden: {', '.join(hidden)}.")
     table = Table(("effect", "chance before", "after", "shows from"), rows)

@@ -43,7 +43,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset, read_csv
 from oed_sysid.design.assurance import NO_LIMIT, Assurance, assess_limits
 from oed_sysid.design.card import TrialCard
-from oed_sysid.design.criteria import DOptimal, inverse
+from oed_sysid.design.criteria import SAYS, DOptimal, inverse
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
 from oed_sysid.design.library import Candidate
 from oed_sysid.design.result import write_run
@@ -246,25 +246,7 @@ class Contradiction:
         """What was expected, what was found, what to do."""
         listed = ", ".join(f"{name} {value:+.1f}" for name, value in self.apart.items())
         where = f" ({listed} standard errors)" if listed else ""
-        return (
-            "what the runs, and what was known before, say of the model differs by more than their "
-            f"errors allow (chi-squared {self.statistic:.3g} with {self.freedom} degrees of "
-            f"freedom, chance {self.chance:.1g}), most of all {self.source}{where}. The model "
-            "lacks something, or a prior is wrong: errors do not hold. Look for what is missing "
-            "with improve(), or correct the prior, fit again and decide then."
-        )
-
-
-# Why to stop.
-REASONS = {
-    "enough": "everything asked for is known well enough",
-    "contradicted": "on paper everything is known, but the records contradict it, so that its "
-    "errors do not hold; look for what the model lacks (improve)",
-    "unchecked": "on paper everything is known, but one run alone has said so, and no other that "
-    "keeps its limits could check it",
-    "useless": "no run that keeps its limits brings what is missing nearer",
-    "no time": "not even the next run fits into the time that is left",
-}
+        return str(SAYS["contradiction"].format(self, where=where))
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,7 +322,7 @@ class Decision:
         if run is None:
             n = len(self.goals)
             rest = f" ({n - len(unmet)} of {n} goals met)" if unmet else ""
-            return f"STOP{done}: {REASONS[self.action]}{rest}."
+            return f"STOP{done}: {SAYS['reasons'][self.action]}{rest}."
         brings, left = "checks what one run alone has said", "not all goals can be planned for"
         if unmet:
             # The goal that the run was chosen for, not one that it leaves as it is.
@@ -349,17 +331,10 @@ class Decision:
             brings = f"brings {far.goal.name} from {now} to {then}"
         if np.isfinite(self.hours_left):
             left = f"{counted(self.runs_left, 'run')}, {self.hours_left:.2g} h to go"
-        warned = ""
-        if self.contradiction is not None:
-            warned = (
-                "WARNING: the records contradict one another, so that the errors do not hold; look "
-                "for what the model lacks (improve) first; "
-            )
+        warned = "" if self.contradiction is None else SAYS["contradicted_before"]
         safe = self.assurance.report() if self.assurance else NO_LIMIT
-        return (
-            f"{warned}GO ON{done}: {run.name} next ({run.cost / 3600:.2g} h) {brings}; {left}; "
-            f"{safe}."
-        )
+        next_ = f"{run.name} next ({run.cost / 3600:.2g} h)"
+        return f"{warned}GO ON{done}: {next_} {brings}; {left}; {safe}."
 
     def document(self) -> Report:
         """Return the decision, the verdict first."""
@@ -372,9 +347,7 @@ class Decision:
         short = self.hours_available is not None and self.hours_left > self.hours_available
         warnings = [] if self.contradiction is None else [f"WARNING: {self.contradiction.text}"]
         if short and self.next_run is not None:
-            warnings.append(
-                f"WARNING: only {self.hours_available:.2g} h are left: not all goals will be met."
-            )
+            warnings.append(SAYS["too_little_time"].format(self))
         refused = [f"Not run: {name!r} may leave its limits." for name in self.refused]
         section = Section("Goals", refused, (Table(headers, rows),), indent=2)
         said = self.answer()

@@ -33,7 +33,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.design.assurance import Assurance
-from oed_sysid.design.criteria import Criterion, DOptimal
+from oed_sysid.design.criteria import SAYS, Criterion, DOptimal
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
 from oed_sysid.design.library import Bench, Reference, Standard, ZigZags, standard_manoeuvres
 from oed_sysid.design.objective import Objective, Score
@@ -350,19 +350,9 @@ def _infeasible(task: Task, nearest: Score) -> str:
     """Say which limits the nearest manoeuvre breaks, and what to do."""
     words = task.bounds.broken(task.grid.times, task.bounds.limited(nearest.evaluations[0].signals))
     if not words and task.caution is not None:
-        return (
-            f"No manoeuvre was found that keeps all limits on {task.caution.probability:.0%} of "
-            "the vehicles with other coefficients. Design a shorter run, do a gentle trial first "
-            "and design from its fit, or in Python a closed loop, "
-            "search=Search(family=ZigZags(...))."
-        )
-    if not words:
-        words = ("for other values of the parameters the limits are left",)
-    return (
-        f"No manoeuvre of {task.grid.times[-1]:g} s was found that keeps all limits. In the "
-        f"nearest one {'; '.join(words)}. Widen these limits, shorten the run, allow more "
-        "actuator range, or ask for more starts."
-    )
+        return str(SAYS["none_safe"].format(task.caution))
+    broken = "; ".join(words) or "for other values of the parameters the limits are left"
+    return str(SAYS["none_feasible"].format(seconds=task.grid.times[-1], broken=broken))
 
 
 def _actuator_limits(grid: Grid, commands: np.ndarray, units: Mapping[str, str]) -> tuple[str, ...]:

@@ -278,12 +278,7 @@ def _information(fit: Fit) -> Information:
     Its information where these are one; not where noise is autocorrelated or scatters.
     """
     if fit.purpose == "replay":
-        warnings.warn(
-            "The fit was made for runs of a model that lacks physics: its errors do not hold for "
-            "a design. Give the fit that it was made of.",
-            UserWarning,
-            stacklevel=3,
-        )
+        warnings.warn(criteria.SAYS["replay"], UserWarning, stacklevel=3)
     information = fit.information
     if not len(fit.names) or not np.all(np.isfinite(fit.covariance)):
         return information

@@ -19,7 +19,7 @@ import numpy as np
 
 from oed_sysid.design.assurance import NO_LIMIT, TRUSTED, AccuracyRange, Assurance, stated
 from oed_sysid.design.card import WIDTH, TrialCard
-from oed_sysid.design.criteria import Detection, missing_physics, shown, told_apart
+from oed_sysid.design.criteria import SAYS, Detection, missing_physics, shown, told_apart
 from oed_sysid.design.library import Candidate, Reference
 from oed_sysid.design.vehicles import percent
 from oed_sysid.experiments.experiment import Experiment
@@ -215,11 +215,7 @@ class Design(_Accuracy):
         """Return what the design will tell, commands, motion and the sea-trial card."""
         errors, safe = self.relative_errors, self.assurance
         best, worst = int(np.nanargmin(errors)), int(np.nanargmax(errors))
-        drawing = Figure(
-            "figure_design", self,
-            "Left: commands and the motion that the model predicts, with their limits. Right: "
-            "expected relative standard errors before, after the design, and after zigzags.",
-        )  # fmt: skip
+        drawing = Figure("figure_design", self, SAYS["design_drawn"])
         starts = ", ".join(f"{value:.4g}" for value in self.start_values)
         if safe and self.value < min(self.start_values, default=-np.inf):
             starts += "; gentler since, for vehicles that differ to keep the limits"
@@ -279,10 +275,7 @@ class Design(_Accuracy):
         for reference in self.references:
             mean, worst = self.gain(reference)
             note = f" ({reference.note})" if reference.note else ""
-            lines.append(
-                f"Errors of {reference.name}{note} are {mean:.3g} times larger on geometric "
-                f"mean, {worst:.3g} times for the worst parameter."
-            )
+            lines.append(SAYS["reference"].format(reference, note=note, mean=mean, worst=worst))
         return lines + self._undetermined()
 
     @property
@@ -401,13 +394,8 @@ class Standard:
 
     def words(self) -> str:
         """How long they take, in a sentence."""
-        trials = ", ".join(self.names)
-        if not np.isfinite(self.hours):
-            return f"The standard programme ({trials}) never tells as much."
-        return (
-            f"The standard programme ({trials}) needs {self.hours:.3g} h for the same criterion, "
-            f"{self.ratio:.3g} times the ship time."
-        )
+        said = "standard_takes" if np.isfinite(self.hours) else "standard_never"
+        return str(SAYS[said].format(self, trials=", ".join(self.names)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -528,36 +516,20 @@ class Programme(_Accuracy):
         if self.unsafe:
             worst = min(self.unsafe, key=lambda name: self.assurances[name].probability)
             left = 1 - self.assurances[worst].probability
-            return f"DANGER: {worst!r} leaves its limits on {left:.0%} of possible vehicles"
-        if not self.together.is_enough:
-            left = 1 - self.kept
-            return (
-                f"DANGER: on {left:.0%} of possible vehicles one run or another leaves its limits"
-            )
-        return ""
+            return str(SAYS["run_unsafe"].format(name=worst, left=left))
+        kept = self.together.is_enough
+        return "" if kept else SAYS["programme_unsafe"].format(left=1 - self.kept)
 
     def document(self, *, title: str = "") -> Report:
         """Return the programme: danger first, then runs, accuracy and certificate."""
         errors = self.relative_errors
         worst = int(errors.argmax())
-        drawing = Figure(
-            "figure_programme", self,
-            "Every run: its command and the motion that the model predicts; dotted: what all but "
-            "the most extreme of the possible vehicles stay within; dashed: limits. Right: "
-            "expected relative standard errors.",
-        )  # fmt: skip
+        drawing = Figure("figure_programme", self, SAYS["programme_drawn"])
         together = []
         if self.limited:
             checked = self.together.n_checked
             together.append(f"all together keep them on {self.kept:.0%} of {checked} vehicles")
-        worth = (
-            f"Of what the best programme of these {len(self.candidates)} runs could tell, this "
-            f"one tells {self.share:.1%} (criterion {self.criterion}; the weights are within "
-            f"{max(self.gap, 0.0):.1g} of their optimum). Refined commands made it "
-            f"{self.refined_factor:.3g} times as telling; greedy selection would reach "
-            f"{self.greedy_share:.1%} of the selection before. The bound holds for these runs, "
-            "these forces and a model of this structure; other commands may do better."
-        )
+        worth = SAYS["worth"].format(self, n=len(self.candidates), gap=max(self.gap, 0.0))
         compared = [] if self.standard is None else wrap(self.standard.words(), WIDTH)
         for words, (_, factor) in self.sensor_options.items():
             compared.append(f"With optional sensors {words}: information times {factor:.3g}.")

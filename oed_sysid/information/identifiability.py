@@ -5,11 +5,14 @@ Structural identifiability: what no manoeuvre and no accuracy could separate.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 from math import sqrt
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -68,6 +71,8 @@ def collinearity_index(information: Information, names: Sequence[str] | None = N
     return float(1.0 / smallest) if smallest > 1e-14 else float(np.inf)
 
 
+# Sentences of the information in runs.
+SAYS: dict[str, Any] = tomllib.loads(Path(__file__).with_name("sentences.toml").read_text("utf-8"))
 # Up to here all sets are looked at that could be larger than the best one found: 2^17 at most.
 ENUMERATED = 17
 # A parameter of which nothing is known has a value that is wrong by this share.
@@ -195,10 +200,7 @@ class Subset:
             "effect of its own",
         )  # fmt: skip
         fixed = listed(self.advised("fix"))
-        title = (
-            f"{self.size} of {len(self.order)} parameters can be estimated together "
-            f"(collinearity {self.collinearity:.3g}, at most {self.limit:g}); to fix: {fixed}"
-        )
+        title = SAYS["together"].format(self, n=len(self.order), fixed=fixed)
         sections = [Section(title, (), (Table(headers, rows, words=(0, 1, 4)),), heading=True)]
         if self.reasons:
             sections.append(Section("What these runs cannot separate", list(self.reasons)))
@@ -401,45 +403,27 @@ def _place(
     )
 
 
-# Runs in which two motions do not keep one ratio, by the symbols of the motions.
-_RUNS = {
-    frozenset("vr"): "a pull-out, or a turn held by a tug or begun with a drift angle,",
-    frozenset("wq"): "a steady dive, or heave without pitch,",
-    frozenset("uw"): "a run at another speed",
-    frozenset("uv"): "a run at another speed",
-}
-
-
 def _reason(place: Place, motions: Mapping[str, np.ndarray]) -> str:
     """Which parameters share a direction, and why, as a naval architect says it."""
     # Its error if all others were known: what they imitate is taken out.
+    error = share(place.error)
     if place.error * sqrt(max(1.0 - place.imitated, 0.0)) > place.assumed:
-        return (
-            f"These runs hardly depend on {place.name}: free, its error is {share(place.error)}, "
-            f"where {share(place.assumed)} is taken for known. Runs that excite it more would tell."
-        )
+        return str(SAYS["hardly_depend"].format(place, error=error, assumed=share(place.assumed)))
     partners = ", ".join(name for name, _ in place.partners)
     looks = " and ".join(f"{name} {change:+.1%}" for name, change in place.partners)
-    text = (
-        f"These runs hardly separate {place.name} from {partners}: {place.name} +10 % looks like "
-        f"{looks}, but for {100 * (1 - place.imitated):.2g} % of its effect."
-    )
+    facts = {"partners": partners, "looks": looks, "own_effect": 100 * (1 - place.imitated)}
+    text: str = SAYS["hardly_separate"].format(place, **facts)
     if place.advice == "prior":
-        text += (
-            f" Fixed at a value {place.assumed:.0%} wrong it would move {place.biased} by "
-            f"{share(place.bias)}; free, its error is {share(place.error)}."
-        )
+        text += SAYS["with_prior"].format(place, bias=share(place.bias), error=error)
     for partner, _ in place.partners:
         one, other = _symbols(place.name), _symbols(partner)
         own, its = sorted(set(one) - set(other)), sorted(set(other) - set(one))
         cosine = _cosine(one, other, motions)
         if len(own) != 1 or len(its) != 1 or not abs(cosine) > ALIKE:
             continue
-        run = _RUNS.get(frozenset((*own, *its)), "a run that moves them apart")
-        return (
-            f"{text} {own[0]} and {its[0]} keep nearly one ratio in them (cosine {cosine:.3f}); "
-            f"{run} would tell."
-        )
+        run = SAYS["runs"].get("".join(sorted(own + its)), "a run that moves them apart")
+        said: str = SAYS["one_ratio"].format(own=own[0], its=its[0], cosine=cosine, run=run)
+        return text + said
     return text
 
 
@@ -500,10 +484,7 @@ class Structure:
 
     def document(self) -> Report:
         """Return the verdict in words."""
-        head = (
-            f"Structure: rank {self.rank} of {len(self.names)} over {len(self.ranks)} random sets "
-            f"of values, {self.n_runs} random manoeuvres each (smallest share {self.margin:.1e})."
-        )
+        head = SAYS["structure"].format(self, n=len(self.names), sets=len(self.ranks))
         words = "All parameters are locally identifiable from these outputs."
         section = Section("Verdict", (words,))
         if not self.identifiable:

@@ -14,7 +14,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DesignError, listed, located, respelled
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.information.bound import COLOURED, RunInformation
-from oed_sysid.information.identifiability import Subset, identifiable_subset
+from oed_sysid.information.identifiability import SAYS, Subset, identifiable_subset
 from oed_sysid.information.noise import Levels
 from oed_sysid.information.response import CommandedRun, Run, commanded_runs
 from oed_sysid.likelihood.fit import Fit
@@ -128,21 +128,15 @@ class SensitivityRanking:
             )
             for rank, row in enumerate(self.rows, start=1)
         ]
-        drawing = Figure(
-            "plot_sensitivity", self,
-            "Standard error of each parameter as a share of its value. The distance between the "
-            "dots is what the other unknowns cost; beyond the dashed line the error exceeds the "
-            "value.",
-            size=(7.6, 1.4 + 0.3 * len(rows)),
-        )  # fmt: skip
+        height = 1.4 + 0.3 * len(rows)
+        drawing = Figure("plot_sensitivity", self, SAYS["ranking_drawn"], size=(7.6, height))
         said = [f"Not determined: {text}." for text in self.information.null_directions()]
         best, worst = self.rows[0], self.rows[-1]
-        runs = ", ".join(self.runs)
+        runs, signals = ", ".join(self.runs), ", ".join(self.signals)
         return Report(
             title=title or "What these experiments tell",
             subtitle=f"Parameters in {runs}",
-            headline=f"Sensitivity of {len(rows)} parameters in {runs}; signals "
-            f"{', '.join(self.signals)}; index for a change of {self.change:.0%}",
+            headline=SAYS["ranking"].format(self, n=len(rows), runs=runs, signals=signals),
             answer=self.together.words(f" from {runs}"),
             numbers=(
                 (f"std. error, best: {best.name}", share(best.error)),
