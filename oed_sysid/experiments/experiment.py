@@ -161,14 +161,14 @@ class Experiment:
             excitation = None if not parts else parts[0] if len(parts) == 1 else Combined(parts)
         object.__setattr__(self, "manoeuvre", excitation)
         for key in ("constants", "initial", "noise"):
+            given = getattr(self, key)
             try:
-                given = {name: float(value) for name, value in getattr(self, key).items()}
+                object.__setattr__(self, key, {name: float(x) for name, x in given.items()})
             except (AttributeError, TypeError, ValueError):
                 raise DesignError(
-                    f"Experiment {self.name!r} has {key} {getattr(self, key)!r:.60}. Expected a "
-                    "mapping from names to numbers."
+                    f"Experiment {self.name!r} has {key} {given!r:.60}. Expected a mapping from "
+                    "names to numbers."
                 ) from None
-            object.__setattr__(self, key, given)
         if self.duration is None:
             object.__setattr__(self, "duration", excitation.duration if excitation else None)
         self._validate()
@@ -286,9 +286,8 @@ class Experiment:
             )
         if missing := [name for name in wanted if name not in known]:
             raise DesignError(self._no_command(missing))
-        n_times = len(self.times)
-        columns = [np.broadcast_to(known[name], n_times) for name in wanted]
-        return np.column_stack([np.empty((n_times, 0)), *columns])
+        columns = [known[name] for name in wanted]
+        return np.column_stack([np.empty((len(self.times), 0)), *columns])
 
     def known_commands(self) -> dict[str, np.ndarray]:
         """Commands ``(n_times,)`` of the inputs that do not react, by name."""

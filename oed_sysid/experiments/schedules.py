@@ -452,9 +452,19 @@ class Tabulated(base.OpenLoop):
                 "one value per time."
             )
 
-    def _through(self, points: FloatArray) -> Waveform:
-        """The function through the values at these times."""
-        levels = np.asarray(self.values, dtype=float)
+    @property
+    def _delay(self) -> float:
+        """How much later than its times it is played [s]: no kind but a replay has a start."""
+        return float(getattr(self, "start", self.times[0]) - self.times[0])
+
+    @property
+    def duration(self) -> float | None:
+        """Until the last value [s]."""
+        return self.times[-1] + self._delay
+
+    def waveform(self) -> Waveform:
+        """Return the function of time through the values."""
+        points, levels = np.asarray(self.times) + self._delay, np.asarray(self.values)
         if self.interpolation == "hold":
             return staircase(points.tolist(), levels.tolist(), before=float(levels[0]))
         return lambda moments: np.interp(moments, points, levels)
@@ -488,15 +498,6 @@ class Piecewise(Tabulated):
     values: Numbers
     _: KW_ONLY
     interpolation: str = "hold"
-
-    @property
-    def duration(self) -> float | None:
-        """Until the last time [s]."""
-        return self.times[-1]
-
-    def waveform(self) -> Waveform:
-        """Return the function of time."""
-        return self._through(np.asarray(self.times))
 
     def describe(self) -> str:
         """Return one line in words."""
@@ -540,15 +541,6 @@ class FromRecord(Tabulated):
     interpolation: str = "hold"
     start: float = 0.0
 
-    @property
-    def duration(self) -> float | None:
-        """Until the end of the record [s]."""
-        return self.start + self.times[-1] - self.times[0]
-
-    def waveform(self) -> Waveform:
-        """Return the function of time."""
-        return self._through(np.asarray(self.times) - self.times[0] + self.start)
-
     def describe(self) -> str:
         """Return one line in words."""
         source = f" of record {self.record!r}" if self.record else ""
@@ -589,13 +581,11 @@ def maximum_length_sequence(order: int, *, seed: int = 1) -> FloatArray:
     >>> print(maximum_length_sequence(3))
     [ 1. -1. -1.  1. -1.  1.  1.]
     """
-    register, length = seed, 2**order - 1
-    bits = np.empty(length)
-    for index in range(length):
-        bits[index] = register & 1
-        fed_back = sum(register >> (order - tap) for tap in _TAPS[order]) & 1
-        register = (register >> 1) | (fed_back << (order - 1))
-    return 2 * bits - 1
+    from scipy.signal import max_len_seq  # slow to import, and needed here only
+
+    register = [seed >> place & 1 for place in range(order)]
+    taps = [order - tap for tap in _TAPS[order][1:]]
+    return 2.0 * max_len_seq(order, state=register, taps=taps)[0] - 1.0
 
 
 @dataclass(frozen=True)
@@ -882,12 +872,10 @@ class Chirp(base.OpenLoop, base.Timed):
         )
 
     def _sweep(self, elapsed: FloatArray) -> FloatArray:
-        share = np.clip(elapsed / self.sweep_time, 0.0, 1.0)
-        growth = math.log(self.last_frequency / self.first_frequency)
-        if self.law == "linear" or growth == 0:
-            mean = self.first_frequency + (self.last_frequency - self.first_frequency) * share / 2
-            cycles = mean * share * self.sweep_time
-        else:
-            cycles = self.first_frequency * self.sweep_time / growth * np.expm1(growth * share)
-        wave: FloatArray = self.amplitude * np.sin(2 * math.pi * cycles)
+        from scipy.signal import chirp  # slow to import, and needed here only
+
+        # A cosine, a quarter of a cycle late.
+        ends = self.first_frequency, self.sweep_time, self.last_frequency
+        way = {"linear": "linear", "log": "logarithmic"}[self.law]
+        wave: FloatArray = self.amplitude * chirp(elapsed, *ends, method=way, phi=-90)
         return wave

@@ -269,8 +269,10 @@ def _told(log: Path, place: Path, inputs: tuple[str, ...]) -> tuple[Path, tuple[
 
 def _commanded(mapping: LogMapping | None, log: Log, inputs: tuple[str, ...]) -> LogMapping | None:
     """The mapping with the fields that are commands, by name; None without inputs or outputs."""
-    if mapping is None or not inputs:
-        return mapping if mapping is not None and mapping.inputs else None
+    if mapping is None:
+        return None
+    if not inputs:
+        return mapping if mapping.inputs else None
     fields = {key: one for one in log.series for key in _names_of(one.name)}
     chosen = dict(_command(text, log.path.name, fields, mapping) for text in inputs)
     used = {one.field for one in chosen.values()}
