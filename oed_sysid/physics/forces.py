@@ -21,7 +21,6 @@ from oed_sysid.physics import table
 from oed_sysid.physics.base import Actuator, Environment, Force, Inertia, amplitude
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.signals import actuator_offset
-from oed_sysid.text import notation
 
 # Rows of a table: laid out to be read as such.
 # fmt: off
@@ -167,8 +166,7 @@ def added_mass_error(name: str, axis: str, state: str, *, scale: float | None = 
     >>> added_mass_error("heave_added_mass_error", "Z", "w").terms
     {('Z', 'w'): 'E_heave_added_mass_error'}
     """
-    unit = notation.unit(f"{axis}_{state}dot")
-    return {"unit": unit, "terms": {(axis, state): "{E}"}}
+    return {"terms": {(axis, state): "{E}"}}
 
 
 @table.row(Inertia)
@@ -176,8 +174,7 @@ def added_mass_coupling(name: str, first: tuple[str, str], second: tuple[str, st
                         scale: float | None = None, value: float = 0.0,
                         bound: float = np.inf) -> table.Derived:
     """Symmetric error of a pair of entries, such as ``("Z", "q")`` and ``("M", "w")``."""
-    unit = notation.unit(f"{first[0]}_{first[1]}dot")
-    return {"unit": unit, "terms": {first: "{E}", second: "{E}"}}
+    return {"terms": {first: "{E}", second: "{E}"}}
 
 
 @table.row(Inertia)
@@ -205,8 +202,7 @@ def fluid_memory(name: str, axis: str, state: str, *, state_unit: str | None = N
     >>> fluid_memory("fluid_memory", "Z", "w").terms
     {'Z': 'E_fluid_memory*(w - mu_fluid_memory)'}
     """
-    return {"unit": notation.unit(f"{axis}_{state}"),
-            "state_unit": state_unit or ("m/s" if axis in "XYZ" else "rad/s")}
+    return {"state_unit": state_unit or ("m/s" if axis in "XYZ" else "rad/s")}
 
 
 # -- current, wind and waves ------------------------------------------------------------
@@ -265,12 +261,11 @@ def steady_wind(name: str = "wind", *, axes: tuple[str, ...] = ("X", "Y", "N"),
         Typical force in N and lever in m.
     """
     lever = Parameter(f"arm_{name}", 0.0, "m", -3 * arm, 3 * arm, scale=arm, description="lever")
-    side = "({E_e}*cos({heading}) - {E_n}*sin({heading}))"
-    along = "{E_n}*cos({heading}) + {E_e}*sin({heading})"
+    side = "({E_east}*cos({heading}) - {E_north}*sin({heading}))"
+    along = "{E_north}*cos({heading}) + {E_east}*sin({heading})"
     terms = {"X": along, "Y": side, "N": f"{{lever}}*{side}"}
-    north, east = (amplitude(f"{name}_{way}", "N", scale=force) for way in ("north", "east"))
-    return {"E_n": north, "E_e": east, **({"lever": lever} if "N" in axes else {}),
-            "terms": {axis: terms[axis] for axis in axes}, "amplitudes": (north.name, east.name)}
+    return {"scale": force, **({"lever": lever} if "N" in axes else {}),
+            "terms": {axis: terms[axis] for axis in axes}}
 
 
 @table.row(Force)

@@ -99,8 +99,7 @@ def backlash(name: str, signal: str | Sequence[str], unit: str = "rad", *, scale
 @table.row(Actuator)
 def saturation(name: str, signal: str, limit: float, unit: str = "rad") -> table.Derived:
     """Mechanical stops at ``±limit``, a known property of a base model."""
-    stop = amplitude(name, unit, value=limit, parameter=f"limit_{name}", positive=True)
-    return {"stop": stop, "amplitudes": ()}
+    return {"value": limit, "parameter": f"limit_{name}", "amplitudes": ()}
 
 
 @table.row(Actuator)

@@ -70,7 +70,8 @@ class Row(Generic[Kind]):
     terms : mapping
         What it contributes, as of :class:`~oed_sysid.physics.Effect`.
     unit : str or None
-        Of the amplitude; None where the constructor gives the amplitudes itself.
+        Of the amplitude, or after an equals sign the derivative that has it; None where the
+        constructor gives the amplitudes itself.
     parts : sequence of str
         Of which there is an amplitude each, such as ``cos`` and ``sin``; an argument of that name
         is its value.
@@ -164,7 +165,9 @@ class Row(Generic[Kind]):
             return others
         own = ("scale", "value", "parameter", "per_record", "bound")
         given = {key: known[key] for key in own if key in known}
-        facts = {"unit": self.unit.format(**known), **given, **self.size}
+        unit = self.unit.format(**known)
+        unit = notation.unit(unit[1:]) if unit.startswith("=") else unit
+        facts = {"unit": unit, **given, **self.size}
         sizes = {} if self.parts else {"E": amplitude(known["name"], **facts)}
         for part in self.parts:
             value = known.get(part, facts.get("value", 0.0))
