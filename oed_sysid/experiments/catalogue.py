@@ -14,6 +14,7 @@ from pathlib import Path
 from types import ModuleType
 
 from oed_sysid.errors import ProblemError, listed
+from oed_sysid.experiments import SAYS
 from oed_sysid.experiments.definition import Problem, faults
 
 FILE = "problem.py"
@@ -105,25 +106,16 @@ def _find(name_or_folder: str | Path) -> Path:
 def _not_found(given: str | Path, path: Path, shipped: tuple[str, ...]) -> ProblemError:
     """What to do about a name that is neither shipped nor a folder with a problem."""
     if path.is_file():
-        return ProblemError(
-            f"{path} is a file. Give the folder that holds {FILE}; data is read with "
-            "oed_sysid.read_csv(path, problem.channels)."
-        )
+        return ProblemError(SAYS["is_a_file"].format(path=path, file=FILE))
     if path.is_dir():
         found = ", ".join(sorted(entry.name for entry in path.iterdir())[:8]) or "nothing"
-        return ProblemError(
-            f"The folder {path} has no {FILE}; it holds {found}. Write one, or start from "
-            "one that works: oed-sysid new FOLDER, in Python oed_sysid.new_problem(folder)."
-        )
+        return ProblemError(SAYS["no_problem_file"].format(path=path, file=FILE, found=found))
     near = difflib.get_close_matches(path.name, shipped, n=3, cutoff=0.5)
     hint = f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
     is_path = isinstance(given, Path) or {os.sep, "/"} & set(str(given))
     looked = f"no folder {path}" if is_path else f"no folder of that name in {Path.cwd()}"
-    return ProblemError(
-        f"There is no problem {str(given)!r}: it is not shipped, and there is {looked}."
-        f"{hint} Shipped problems: {listed(shipped)}. A folder of your own is made by "
-        "oed-sysid new FOLDER, in Python oed_sysid.new_problem(folder)."
-    )
+    facts = {"given": str(given), "looked": looked, "hint": hint, "shipped": listed(shipped)}
+    return ProblemError(SAYS["no_problem"].format(**facts))
 
 
 def _load(file: Path) -> Problem:
@@ -191,29 +183,13 @@ def _found_instead(module: ModuleType, file: Path) -> str:
     return found
 
 
-# What is said of an error of the problem's own file: its type, a part of its words, the sentence,
-# with the words themselves where they say something. The first that fits counts.
-_SAID = (
-    (SystemExit, "", "it ends the program (sys.exit or exit). A problem only defines 'problem': "
-     "put what runs below if __name__ == '__main__'."),
-    (RecursionError, "", "it calls or imports itself without end."),
-    (ModuleNotFoundError, "", "{kind}: {words} Install it, or write 'from .name import ...' for a "
-     "file of the same folder."),
-    (TypeError, "unexpected keyword argument", "{kind}: {words} Check the spelling; "
-     "help(oed_sysid.Model) and so on list what there is."),
-    (EOFError, "", "{kind}: {words} It waits for something to be typed: write the numbers into the "
-     "file."),
-    (ProblemError, "", "{words}"),
-    (BaseException, "", "{kind}: {words}"),
-)  # fmt: skip
-
-
 def _fault(file: Path, error: BaseException) -> str:
     """Say where in the problem's own file an exception came from, and what it is."""
     if isinstance(error, SyntaxError):
         return _syntax(file, error)
     words = str(error) or "no message"
-    said = next(said for kind, part, said in _SAID if isinstance(error, kind) and part in words)
+    kinds = {kind.__name__ for kind in type(error).__mro__}
+    said = next(said for kind, part, said in SAYS["faults"] if kind in kinds and part in words)
     return f"{_place(file, error)}: {said.format(kind=type(error).__name__, words=words)}"
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from oed_sysid.compiled import graph as graph_module
 from oed_sysid.compiled.graph import Graph
 from oed_sysid.errors import SimulationError, located
+from oed_sysid.experiments import SAYS
 from oed_sysid.experiments.experiment import Limits
 from oed_sysid.experiments.trajectory import state_scales
 from oed_sysid.physics.model import Model
@@ -300,11 +301,8 @@ def _bounds(limits: Limits | None, unknowns: tuple[str, ...]) -> tuple[np.ndarra
 
 def _status(model: Model, ok: bool, worst: str, rate: float, unknowns: tuple[str, ...]) -> str:
     if ok:
-        return f"Equilibrium of {model.name}: all {len(unknowns)} unknowns found."
+        return str(SAYS["equilibrium"].format(model, n=len(unknowns)))
     tied = [name for name in model.input_names if name not in unknowns]
-    more = f" Free another input ({', '.join(tied)})," if tied else " Widen the limits,"
-    return (
-        f"No equilibrium of {model.name} was found with {', '.join(unknowns) or 'nothing'} to "
-        f"solve for: {worst} keeps changing at {rate:.3g} per second.{more} begin from another "
-        "guess, or ask for fewer steady states."
-    )
+    more = f"Free another input ({', '.join(tied)})" if tied else "Widen the limits"
+    facts = {"unknowns": ", ".join(unknowns) or "nothing", "worst": worst, "rate": rate}
+    return str(SAYS["no_equilibrium"].format(model, **facts, more=more))

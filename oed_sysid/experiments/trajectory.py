@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from oed_sysid.compiled import graph as graph_module
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import SimulationError, listed, located
+from oed_sysid.experiments import SAYS
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.constants import RUNAWAY
 from oed_sysid.runtime.threads import in_chunks
@@ -219,25 +220,19 @@ def _divergence(model: Model, trajectory: Trajectory, end: int) -> str:
     """Say which state grew, when, and what to do about it; ``end`` is the first sample lost."""
     last, is_number = end - 1, end != trajectory.failed_at
     if last < 0 and not is_number:
-        return (
-            f"The start of model {model.name!r} is not a number. Look for a division by zero or a "
-            "root of a negative number in its equations or initial expressions."
-        )
+        return str(SAYS["no_number"].format(model))
     state = trajectory.states[end if is_number else last]
     worst = int(np.argmax(np.abs(state) / state_scales(model, len(state))))
     value = f"{trajectory.state_names[worst]} = {state[worst]:.4g}"
     if last < 0:
-        return f"Model {model.name!r} starts with {value}, which no vehicle has. Check its unit."
-    text = f"Model {model.name!r} diverged between t = {trajectory.times[last]:g} and "
-    text += f"{trajectory.times[end]:g} s; the {'latter' if is_number else 'last finite sample'} "
-    text += f"has {value}"
+        return str(SAYS["no_vehicle"].format(model, value=value))
+    advice = SAYS["too_large"]
     if (fastest := _fastest_mode(model, trajectory)) * model.step > _STABLE_PRODUCT:
-        return (
-            f"{text}. Its fastest motion decays or grows at {fastest:.3g} 1/s, too fast for steps "
-            f"of {model.step:g} s: use replace(model, step={_STABLE_PRODUCT / fastest / 2:.1g}), "
-            "or replace(model, integrator='implicit') if it dies out."
-        )
-    return f"{text}. Check signs of damping and stiffness, units, and the start state."
+        step = _STABLE_PRODUCT / fastest / 2
+        advice = SAYS["too_fast"].format(model, fastest=fastest, step=step)
+    times = {"begin": trajectory.times[last], "end": trajectory.times[end]}
+    which = "latter" if is_number else "last finite sample"
+    return str(SAYS["diverged"].format(model, **times, which=which, value=value, advice=advice))
 
 
 def _fastest_mode(model: Model, trajectory: Trajectory) -> float:
