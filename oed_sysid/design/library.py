@@ -32,6 +32,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from oed_sysid.data.recognise import RATES
 from oed_sysid.design.vehicles import LimitBounds, kept_on, units_of
 from oed_sysid.design.waveforms import SIZES, Grid, trim_within
 from oed_sysid.errors import DesignError, located
@@ -46,9 +47,8 @@ KINDS = (
 )  # fmt: skip
 # Those that are closed over the vehicle's attitude.
 CLOSED = frozenset({"zigzag", "zigzag ahead"})
-# Attitudes on which a zigzag reverses, in order of preference; their rates; what it can keep.
+# Attitudes on which a zigzag reverses, in order of preference; what it can keep.
 ATTITUDES = ("psi", "theta", "phi")
-_RATES = {"psi": "r", "theta": "q", "phi": "p"}
 _KEPT = {"theta": "z"}
 ZIGZAGS = (5.0, 10.0, 20.0)  # degrees, both of the control and of the attitude
 _PACES = (0.25, 0.6)  # of quick and slow variants, relative to a tenth of the run
@@ -515,7 +515,7 @@ class Bench:
 
         Of each pair of control and lead the largest switch that keeps the limits, and the next.
         """
-        room, rate = self.room(self.attitude), _RATES.get(self.attitude, "")
+        room, rate = self.room(self.attitude), RATES.get(self.attitude, "")
         time = self.turning_time(0.5 * room) if np.isfinite(room) and rate in self.known else None
         if time is None:
             return

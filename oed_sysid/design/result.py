@@ -261,11 +261,8 @@ class Design(_Accuracy):
         if self.references:
             reference = self.references[0]
             gain = self.gain(reference)[0]
-            words += (
-                f"; {reference.name} would leave {gain:.3g} × larger errors"
-                if np.isfinite(gain)
-                else f"; {reference.name} alone would not determine all of them"
-            )
+            said = "reference_leaves" if np.isfinite(gain) else "reference_fails"
+            words += SAYS[said].format(reference, gain=gain)
         if found is not None and found.limited:
             words += f"; limits kept on {found.probability:.0%} of possible vehicles"
         return f"{words}."
@@ -574,12 +571,8 @@ class Programme(_Accuracy):
         words = f"{self.danger}; " if self.danger else ""
         words += f"{counted(len(self.runs), 'run')}, {self.hours:.3g} h: {self._told()}"
         if self.standard is not None:
-            ratio = self.standard.ratio
-            words += (
-                f"; standard trials would need {ratio:.2g} × the ship time"
-                if np.isfinite(ratio)
-                else "; standard trials would never tell as much"
-            )
+            said = "trials_need" if np.isfinite(self.standard.ratio) else "trials_fail"
+            words += SAYS[said].format(self.standard)
         if not self.limited:
             words += f"; {NO_LIMIT}"
         elif not self.unsafe:
@@ -592,9 +585,7 @@ class Programme(_Accuracy):
         """What the programme was asked for, and how much of it is reached."""
         if self.misfits:
             (first, second), least = min(self.misfits.items(), key=lambda one: one[1])
-            return (
-                f"{first} and {second} are told apart with a probability of {told_apart(least):.0%}"
-            )
+            return str(SAYS["apart"].format(first, second, chance=told_apart(least)))
         if self.chances:
             (n_before, n), n_all = shown(self.chances), len(self.chances)
             return f"{n} of {n_all} effects would show, should they be missing (before: {n_before})"

@@ -34,6 +34,7 @@ from oed_sysid.data.dataset import write_csv
 from oed_sysid.data.formats import clock_of
 from oed_sysid.data.frames import is_time
 from oed_sysid.data.logs import Log, LogMapping, Series, Source, draft, import_log, open_log
+from oed_sysid.data.recognise import RATES
 from oed_sysid.errors import (
     DataError,
     FileError,
@@ -55,7 +56,6 @@ _COMMAND = re.compile(
     r"sail|sheet|motor|torque|voltage|current_a|^n$|^n_|^d[rse]$",
     re.IGNORECASE,
 )
-_INTEGRALS = {"psi": "r", "theta": "q", "phi": "p"}
 # Kinematics of a rigid body: forms of each equation, the fullest first.
 _EQUATIONS: dict[str, list[tuple[str, str]]] = tomllib.loads(
     files("oed_sysid.data").joinpath("kinematics.toml").read_text("utf-8")
@@ -245,7 +245,7 @@ def _told(log: Path, place: Path, inputs: tuple[str, ...]) -> tuple[Path, tuple[
     names = set[str]()
     with suppress(DataError):
         names = {name for one in _signals(log)[1] for name in (one.name, one.column)}
-    usual = {*_EQUATIONS, *_INTEGRALS.values()}
+    usual = {*_EQUATIONS, *RATES.values()}
     if names >= {*inputs} if names and inputs else names & usual:
         return None
     opened = open_log(log)
@@ -369,8 +369,8 @@ class _Log:
         """Rates and velocities that are not measured, as angles and positions change."""
         names = [s.name for s in self.measured]
         found = self.velocities()
-        for angle in (s for s in self.measured if s.name in _INTEGRALS and s.unit == "rad"):
-            if (rate := _INTEGRALS[angle.name]) not in names:
+        for angle in (s for s in self.measured if s.name in RATES and s.unit == "rad"):
+            if (rate := RATES[angle.name]) not in names:
                 values = np.gradient(_without_gaps(self.times, angle.values), self.times)
                 found.append(_Signal(rate, rate, "rad/s", values))
         return found
