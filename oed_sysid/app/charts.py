@@ -37,14 +37,12 @@ import streamlit as st
 from plotly.subplots import make_subplots
 from scipy.spatial.transform import Rotation
 
+from oed_sysid import Dataset, Fit, Input, Output, Record, State
 from oed_sysid.app import visit
 from oed_sysid.cli.study import Outcome
-from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.evidence.compare import Comparison
 from oed_sysid.evidence.locate import CLEAR, Located
 from oed_sysid.likelihood.disturbances import Place
-from oed_sysid.likelihood.fit import Fit
-from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.results.chart import Chart, Mark
 from oed_sysid.results.fit_plots import Said, chart_signal, said_of
 from oed_sysid.results.improvement_plots import chart_residual, clearest
@@ -67,11 +65,7 @@ def name_of(channel: Input | Output | State) -> str:
     ('yaw rate r [deg/s]', 'n [1/s]')
     """
     words = [channel.label] if channel.label and channel.label != channel.name else []
-    return " ".join([*words, channel.name, f"[{_unit(channel)}]"])
-
-
-def _unit(channel: Input | Output | State) -> str:
-    return shown_unit(channel.unit)[1] or "-"
+    return " ".join([*words, channel.name, f"[{shown_unit(channel.unit)[1] or '-'}]"])
 
 
 def signals(record: Record, models: Sequence[Said] = ()) -> go.Figure:

@@ -14,17 +14,15 @@ from typing import Any
 import numpy as np
 import streamlit as st
 
+from oed_sysid import Dataset, Problem, list_problems, load_problem, read_csv, simulate
 from oed_sysid.app import mapping, visit
 from oed_sysid.app.mapping import Stock
 from oed_sysid.app.trust import check_trusted, check_uploads, consent, folder_of
 from oed_sysid.app.visit import chosen, kept
 from oed_sysid.cli.study import DEFAULT_MODEL, Study
-from oed_sysid.data.dataset import Dataset, read_csv
 from oed_sysid.data.logs import LogMapping
 from oed_sysid.data.third_party import data_folder, registered
 from oed_sysid.errors import DataError
-from oed_sysid.experiments.problem import Problem, list_problems, load_problem
-from oed_sysid.experiments.simulation import simulate
 
 _FIRST = "remus_diving_plane"
 WITH_PROBLEM, SIMULATED = "With the problem", "Simulated"
@@ -89,10 +87,8 @@ def study() -> Study:
         If the problem or its records cannot be read.
     """
     source = str(chosen("source") or "").strip()
-    problem = problem_of(source, DEFAULT_MODEL)
     variant = chosen("variant", source, default=DEFAULT_MODEL)
-    if variant != DEFAULT_MODEL:
-        problem = problem_of(source, variant)
+    problem = problem_of(source, variant)
     origin = chosen("origin", source, variant) or first_origin(source, problem)
     held = stock(source, variant, origin)
     learn, judge = selection(source, variant, origin, held.names)
@@ -149,7 +145,7 @@ def _stamp(source: str) -> float:
 
 @st.cache_resource(show_spinner="Reading the problem", max_entries=20)
 def _loaded(source: str, variant: str, stamp: float) -> Problem:
-    return load_problem(source, variant=None if variant == DEFAULT_MODEL else variant)
+    return load_problem(source, variant=variant)
 
 
 def _mapped(source: str, problem: Problem) -> Stock:

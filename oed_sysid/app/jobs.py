@@ -29,10 +29,9 @@ from typing import Any
 
 import cloudpickle
 
-from oed_sysid.cli.study import DEFAULT_MODEL, Study
+from oed_sysid import OedSysidError, load_problem
+from oed_sysid.cli.study import Study
 from oed_sysid.cli.terminal import Shown
-from oed_sysid.errors import OedSysidError
-from oed_sysid.experiments.problem import load_problem
 from oed_sysid.runtime.constants import PATIENCE
 from oed_sysid.runtime.journal import CellStore, package_digest
 
@@ -65,8 +64,8 @@ class Request:
 
     def study(self) -> Study:
         """The study, its problem loaded here."""
-        variant = None if self.about.variant == DEFAULT_MODEL else self.about.variant
-        return replace(self.about, problem=load_problem(self.about.source, variant=variant))
+        problem = load_problem(self.about.source, variant=self.about.variant)
+        return replace(self.about, problem=problem)
 
 
 @dataclass(eq=False)

@@ -15,9 +15,8 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
+from oed_sysid import OedSysidError, load_problem
 from oed_sysid.app.trust import SECRET
-from oed_sysid.errors import OedSysidError
-from oed_sysid.experiments.problem import load_problem
 
 _SCRIPT = Path(__file__).with_name("frame.py")
 

@@ -18,11 +18,11 @@ from typing import Any, TypeVar
 
 import streamlit as st
 
+from oed_sysid import Channels, Dataset, Input, OedSysidError, Output, Problem, Record
 from oed_sysid.app import visit
 from oed_sysid.app.panels import download, message
 from oed_sysid.app.trust import check_uploads
 from oed_sysid.data.csv_columns import TIMES
-from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.data.formats import FORMATS
 from oed_sysid.data.logs import (
     Log,
@@ -37,9 +37,7 @@ from oed_sysid.data.logs import (
 from oed_sysid.data.mapping import CommandCuts, Cut, parse
 from oed_sysid.data.recognise import role_of, source_of
 from oed_sysid.data.record import clear_wraps
-from oed_sysid.errors import DataError, OedSysidError
-from oed_sysid.experiments.problem import Problem
-from oed_sysid.physics.channels import Channels, Input, Output
+from oed_sysid.errors import DataError
 from oed_sysid.text.csv_table import read_table
 from oed_sysid.text.units import shown_unit, to_si
 

@@ -26,7 +26,7 @@ from oed_sysid.app.panels import (
 )
 from oed_sysid.app.takeaway import finished, fits_of
 from oed_sysid.cli.study import Outcome, Study
-from oed_sysid.cli.tasks import Corrected, Played, Tables
+from oed_sysid.cli.tasks import Corrected, Played, Tables, patterns_of
 from oed_sysid.errors import DesignError, ProblemError
 from oed_sysid.evidence.check import why_not_more
 from oed_sysid.evidence.preparation import prepared
@@ -219,11 +219,7 @@ def _ask_all(task: str, study: Study, names: str, offers: dict[str, Any]) -> dic
 
 def _of_trials(study: Study) -> dict[str, Any]:
     """What there is to choose from for a trial."""
-    if not study.problem.experiments:
-        raise ProblemError(
-            f"Problem {study.problem.name!r} has no experiment to take sampling and start from. "
-            "Add one to its problem.py."
-        )
+    patterns_of(study.problem, None)  # which says it where there is none
     effects = [effect.name for effect in study.effects]
     runs = list(study.problem.experiments)
     return {"like": runs, "patterns": runs, "discriminate": effects, "detect": effects}

@@ -9,6 +9,7 @@ from typing import Any
 
 import streamlit as st
 
+from oed_sysid import Fit, OedSysidError
 from oed_sysid.app import visit
 from oed_sysid.app.panels import download, message, written, zipped
 from oed_sysid.app.trust import folder_of
@@ -17,9 +18,7 @@ from oed_sysid.cli.script import whole
 from oed_sysid.cli.study import Outcome, Study, digest
 from oed_sysid.cli.tasks import TASKS, Played, write_runs
 from oed_sysid.design import Design
-from oed_sysid.errors import OedSysidError
 from oed_sysid.export import KINDS, export
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.runtime.files import make_folder
 
 # Endings of a problem folder's files that belong to it, and the largest of them, bytes.

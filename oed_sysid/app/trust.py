@@ -16,9 +16,8 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from oed_sysid.errors import OedSysidError
+from oed_sysid import OedSysidError, list_problems
 from oed_sysid.experiments.catalogue import catalogue_folder
-from oed_sysid.experiments.problem import list_problems
 from oed_sysid.runtime.files import private
 
 # The secret of this run, from who starts the server to the script that it executes.

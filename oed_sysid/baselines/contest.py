@@ -460,7 +460,8 @@ def run_cell(cell: Cell) -> Outcome:
     scenario, world = load_scenario(cell.problem), world_by_name(cell.world)
     sigma = scenario.noise(cell.noise, cell.noise_unit)
     model = scenario.with_noise(sigma)
-    runs = tuple(_at(experiment, cell.sampling) for experiment in scenario.train)
+    # Sampled more rarely, commands too, so that every estimator knows the inputs exactly.
+    runs = tuple(replace(e, sample_time=cell.sampling * e.sample_time) for e in scenario.train)
     rng, noisy = cell.rng("noise"), bool(sigma.any())
     dataset = Dataset(tuple(world.record(model, run, rng=rng, noise=noisy) for run in runs))
     noise = [world.noise(model, run) for run in runs]
@@ -482,11 +483,6 @@ def run_cell(cell: Cell) -> Outcome:
     covered = _covered(fit, scenario.truth) if noisy else {}
     judged = _errors(fit, scenario.truth), covered, bounds, _prediction(fit, scenario, model)
     return Outcome(cell, status, fit.status.advice, *judged, fit.iterations, fit.seconds)
-
-
-def _at(experiment: Experiment, sampling: int) -> Experiment:
-    """Sampled more rarely, commands too, so that every estimator knows the inputs exactly."""
-    return replace(experiment, sample_time=sampling * experiment.sample_time)
 
 
 def _away(model: Model, cell: Cell, factor: float = 1.0) -> Model:

@@ -217,18 +217,13 @@ class World:
         return model.within_bounds(off)
 
 
-def _equations_of_motion(model: Model) -> tuple[str, ...]:
-    """Axes of a model, or its states that are velocities and have a rate."""
+def _largest_forces(model: Model, clean: Record, experiment: Experiment) -> dict[str, float]:
+    """Largest force on each equation of the undisturbed run, by axis or state."""
+    # Axes of a model, or its states that are velocities and have a rate.
     speeds = (state.name for state in model.states if state.unit in ("rad/s", "m/s"))
     places = tuple(model.axes) or tuple(name for name in speeds if name in model.kinematics)
     if not places:
         raise ProblemError(f"Model {model.name!r} has no equation of motion to push.")
-    return places
-
-
-def _largest_forces(model: Model, clean: Record, experiment: Experiment) -> dict[str, float]:
-    """Largest force on each equation of the undisturbed run, by axis or state."""
-    places = _equations_of_motion(model)
     sums = (f'force("{key}")' if key in model.axes else f"dot({key})" for key in places)
     return dict(zip(places, _largest(model, clean, experiment, tuple(sums)), strict=True))
 

@@ -9,7 +9,7 @@ the problem that is named: ``--max-fin 10``.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -148,7 +148,10 @@ def _limits(args: Sequence[str], params: Sequence[Any]) -> tuple[list[Any], dict
             meant[name] = f"{side}:{word}" if side else word
             keyword = inspect.Parameter.KEYWORD_ONLY
             offered.append(inspect.Parameter(name, keyword, default=None, annotation=kind))
-    return _parameters(signed(lambda **_: None, offered)), meant
+    # As typer makes them of the signature of a command.
+    app = typer.Typer(add_completion=False, rich_markup_mode="rich")
+    app.command()(signed(lambda **_: None, offered))
+    return list(typer.main.get_command(app).params), meant
 
 
 def _value_of(option: str, args: Sequence[str]) -> str | None:
@@ -159,10 +162,3 @@ def _value_of(option: str, args: Sequence[str]) -> str | None:
         if word.startswith(f"{option}="):
             return word.partition("=")[2]
     return None
-
-
-def _parameters(command: Callable[..., None]) -> list[Any]:
-    """Parameters of a command, as typer makes them of a signature."""
-    app = typer.Typer(add_completion=False, rich_markup_mode="rich")
-    app.command()(command)
-    return list(typer.main.get_command(app).params)

@@ -13,7 +13,7 @@ import typer
 
 import oed_sysid
 from oed_sysid.cli import SUSPECT
-from oed_sysid.cli.reading import read_records_of
+from oed_sysid.cli.reading import read_records
 from oed_sysid.cli.study import Study
 from oed_sysid.cli.tasks import Bounds, Weather, numbers, patterns_of, predicted, write_runs
 from oed_sysid.cli.tasks import band as band_of
@@ -23,12 +23,9 @@ from oed_sysid.runtime.display import Figure, Table, as_dict, counted
 from oed_sysid.runtime.files import check_place, write_text
 
 if TYPE_CHECKING:
+    from oed_sysid import Experiment, Fit, Model, Problem
     from oed_sysid.baselines.fourier import FourierStream
     from oed_sysid.data.logs import Log, LogMapping
-    from oed_sysid.experiments.experiment import Experiment
-    from oed_sysid.experiments.problem import Problem
-    from oed_sysid.likelihood.fit import Fit
-    from oed_sysid.physics.model import Model
     from oed_sysid.runtime.display import Report
     from oed_sysid.runtime.parallel import CellProgress
 
@@ -320,7 +317,9 @@ def report(
         note(f"Made by oed_sysid {made.get('version')}: {made['command']}")
     comparison = None
     if validate:
-        comparison = oed_sysid.compare({kept.model.name: kept}, read_records_of(validate, kept))
+        usual = [record.sample_time for record in kept.dataset]
+        judged = read_records(validate, kept.model, usual)
+        comparison = oed_sysid.compare({kept.model.name: kept}, judged)
     document = kept.document(comparison)
     answer(document.answer, "" if comparison is None else comparison.verdict)
     note(f"Written: {document.write(out)}")

@@ -14,10 +14,8 @@ from math import degrees, inf, isfinite, radians
 from pathlib import Path
 from typing import Any
 
+from oed_sysid import Input, Limits, Model, Output, State
 from oed_sysid.errors import DesignError
-from oed_sysid.experiments.experiment import Limits
-from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.model import Model
 
 _TABLE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 SIGNALS, SURFACES = _TABLE["signals"], _TABLE["surfaces"]

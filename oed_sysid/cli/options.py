@@ -228,8 +228,9 @@ def line_of(task: Task, study: Study, options: Mapping[str, Any], file: str = ""
     """
     words = ["oed-sysid", task.name, study.source, *_asked_about(task, study)]
     for name, value in task.given(options).items():
-        values = value if isinstance(value, tuple) else () if value is True else (value,)
-        words += [row_of(task.name, name).written(name), *map(_word, values)]
+        given = value if isinstance(value, tuple) else () if value is True else (value,)
+        texts = (f"{one:.12g}" if isinstance(one, float) else str(one) for one in given)
+        words += [row_of(task.name, name).written(name), *texts]
     return f"{shlex.join(words)} {task.keeps} --html {file or task.name}.html".replace("  ", " ")
 
 
@@ -244,7 +245,3 @@ def _asked_about(task: Task, study: Study) -> Iterator[str]:
         yield from ("--validate", "test")
     if "noise" in task.reads and study.known_noise:
         yield "--known-noise"
-
-
-def _word(value: Any) -> str:
-    return f"{value:.12g}" if isinstance(value, float) else str(value)

@@ -11,10 +11,7 @@ from oed_sysid.cli.terminal import asked, note
 from oed_sysid.errors import DataError
 
 if TYPE_CHECKING:
-    from oed_sysid.data.dataset import Dataset
-    from oed_sysid.experiments.problem import Problem
-    from oed_sysid.likelihood.fit import Fit
-    from oed_sysid.physics.model import Model
+    from oed_sysid import Dataset, Model
 
 
 def study_of(given: Mapping[str, Any]) -> Study:
@@ -26,16 +23,17 @@ def study_of(given: Mapping[str, Any]) -> Study:
         If the problem or its records cannot be read.
     """
     study = Study.named(given["problem"], given["model"])
+    model, usual = study.problem.model, [r.sample_time for r in study.problem.experiments.values()]
     train, test = (
-        read_records(given[name], study.problem) if given.get(name) else None
+        read_records(given[name], model, usual) if given.get(name) else None
         for name in ("files", "validate")
     )
     settings = {name: given[name] for name in ("known_noise", "disturbances") if name in given}
     return replace(study, train=train, test=test, **settings)
 
 
-def read_records(files: Sequence[str], problem: Problem) -> Dataset:
-    """Read records with the channels of a problem.
+def read_records(files: Sequence[str], model: Model, intervals: Iterable[float]) -> Dataset:
+    """Read records with the channels of a model, whose samples are usually so far apart, s.
 
     Raises
     ------
@@ -43,15 +41,6 @@ def read_records(files: Sequence[str], problem: Problem) -> Dataset:
         If a file cannot be used, or its times seem to be milliseconds and no ``--time-unit`` says
         what they are.
     """
-    return _read(files, problem.model, (run.sample_time for run in problem.experiments.values()))
-
-
-def read_records_of(files: Sequence[str], fit: Fit) -> Dataset:
-    """Read records to be predicted by a fit; as :func:`read_records`."""
-    return _read(files, fit.model, (record.sample_time for record in fit.dataset))
-
-
-def _read(files: Sequence[str], model: Model, intervals: Iterable[float]) -> Dataset:
     from oed_sysid.data.dataset import read_csv
 
     unit = asked("time_unit")

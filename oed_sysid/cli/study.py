@@ -20,10 +20,8 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 from oed_sysid.errors import DataError
 
 if TYPE_CHECKING:
-    from oed_sysid.data.dataset import Dataset
+    from oed_sysid import Dataset, Fit, Problem
     from oed_sysid.evidence.compare import Comparison
-    from oed_sysid.experiments.problem import Problem
-    from oed_sysid.likelihood.fit import Fit
     from oed_sysid.likelihood.noise_model import Disturbances
     from oed_sysid.physics.base import Effect
     from oed_sysid.runtime.display import Figure, Report

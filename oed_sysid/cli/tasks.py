@@ -25,15 +25,11 @@ from oed_sysid.runtime.display import Figure
 from oed_sysid.runtime.files import make_folder, write_text
 
 if TYPE_CHECKING:
-    from oed_sysid.data.dataset import Record
+    from oed_sysid import Experiment, Fit, Limits, Model, Problem, Record
     from oed_sysid.design import Design, Servo
     from oed_sysid.evidence.compare import Comparison, ModelMisfit
     from oed_sysid.evidence.result import LogCheck
-    from oed_sysid.experiments.experiment import Experiment, Limits
-    from oed_sysid.experiments.problem import Problem
-    from oed_sysid.likelihood.fit import Fit
     from oed_sysid.physics.base import Effect
-    from oed_sysid.physics.model import Model
     from oed_sysid.runtime.display import Report
     from oed_sysid.runtime.parallel import CellProgress
 

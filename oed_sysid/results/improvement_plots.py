@@ -21,7 +21,6 @@ from oed_sysid.evidence.locate import Located
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.information import effective_sample_size
-from oed_sysid.physics.base import Effect
 from oed_sysid.results import style as draw
 from oed_sysid.results.chart import Chart, Mark
 from oed_sysid.runtime.display import TWO_SIDED_95
@@ -169,7 +168,9 @@ def chart_force_found(improvement: Improvement, dataset: Dataset) -> Chart:
         one.name: np.concatenate([draw.signal_of(record, one) for record in dataset])
         for one in dataset.channels.all
     }
-    moving = {} if step is None else {n: of for n, of in signals.items() if _moves(step.effect, n)}
+    # What is in the formula of the effect, itself or as a velocity through the water.
+    used = set() if step is None else step.effect.uses()
+    moving = {name: values for name, values in signals.items() if {name, f"{name}_r"} & used}
     name = clearest(located, equation, moving or signals)
     channel = next(one for one in dataset.channels.all if one.name == name)
     found = "" if step is None else step.added
@@ -190,11 +191,6 @@ def force_equation(improvement: Improvement) -> str:
         if name in located.force_names:
             return name
     raise DataError("There is no residual force in this finding.")
-
-
-def _moves(effect: Effect, name: str) -> bool:
-    """Whether a signal, or its velocity through the water, is in the formula of an effect."""
-    return bool({name, f"{name}_r"} & effect.uses())
 
 
 def clearest(located: Located, equation: str, signals: Mapping[str, np.ndarray]) -> str:
@@ -310,7 +306,7 @@ def plot_residual_force(
     Axes
         What was drawn on; its label is what the picture shows, in words.
     """
-    column = _column(located, equation)
+    column, unit = _column(located, equation), _unit(located, equation)
     ax = draw.new_axes(ax, size=(7.6, 3.0))
     series = located.forces[record]
     mean, half = series.values[:, column], TWO_SIDED_95 * series.std[:, column]
@@ -324,10 +320,10 @@ def plot_residual_force(
     return draw.done(
         ax,
         f"Record {record + 1}: residual {equation} up to {np.nanmax(np.abs(mean)):.2g} "
-        f"{_unit(located, equation)}, beyond its 95 % band for {np.mean(seen):.0%} of the time.",
+        f"{unit}, beyond its 95 % band for {np.mean(seen):.0%} of the time.",
         legend={"loc": "lower right", "bbox_to_anchor": (1.0, 0.98), "borderaxespad": 0.0,
                 "ncols": 3, "fontsize": 8},
-        xlabel="time $t$ [s]", ylabel=f"residual {_name(located, equation)}",
+        xlabel="time $t$ [s]", ylabel=f"residual {draw.symbol_of(equation)} [{unit}]",
     )  # fmt: skip
 
 
@@ -509,7 +505,3 @@ def _column(located: Located, equation: str) -> int:
 def _unit(located: Located, equation: str) -> str:
     units: Mapping[str, str] = {place.name: place.unit for place in located.places}
     return units.get(f"force {equation}", "") or "-"
-
-
-def _name(located: Located, equation: str) -> str:
-    return f"{draw.symbol_of(equation)} [{_unit(located, equation)}]"

@@ -223,16 +223,11 @@ def align(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> list[str
 
 
 # Characters that LaTeX reads as commands, and what writes them.
-_TEX = {one: f"\\{one}" for one in "&%$#_{}"} | {
+_TEX = str.maketrans({one: f"\\{one}" for one in "&%$#_{}"} | {
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
     "±": r"$\pm$", "×": r"$\times$", "−": "$-$", "≤": r"$\le$", "≥": r"$\ge$", "°": r"$^\circ$",
     "<": "$<$", ">": "$>$",
-}  # fmt: skip
-
-
-def _tex(text: str) -> str:
-    """Text as LaTeX prints it."""
-    return "".join(_TEX.get(letter, letter) for letter in text)
+})  # fmt: skip
 
 
 # -- documents -------------------------------------------------------------------------
@@ -289,7 +284,8 @@ class Table:
         \end{tabular}
         """
         flush = "".join("l" if i in (0, *self.words) else "r" for i in range(len(self.headers)))
-        head, *rows = (" & ".join(map(_tex, row)) + r" \\" for row in (self.headers, *self.rows))
+        cells = ([cell.translate(_TEX) for cell in row] for row in (self.headers, *self.rows))
+        head, *rows = (" & ".join(row) + r" \\" for row in cells)
         inner = [r"\toprule", head, r"\midrule", *rows, r"\bottomrule"]
         return "\n".join([rf"\begin{{tabular}}{{{flush}}}", *inner, r"\end{tabular}"])
 

@@ -56,15 +56,10 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.data.dataset import Dataset
+from oed_sysid import Dataset, Experiment, Fit, Model, OedSysidError, simulate
 from oed_sysid.design.criteria import Criterion, Setting
-from oed_sysid.errors import OedSysidError
-from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information.noise import noise_of
 from oed_sysid.likelihood.estimator import Estimator
-from oed_sysid.likelihood.fit import Fit
-from oed_sysid.physics.model import Model
 from oed_sysid.runtime.constants import DIFFERENCE_STEP, ROUNDING
 from oed_sysid.testing.problem_contract import refuse, unkept
 

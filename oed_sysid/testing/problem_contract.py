@@ -36,17 +36,12 @@ from typing import Any
 
 import numpy as np
 
+from oed_sysid import Dataset, Experiment, Model, OedSysidError, Problem, load_problem, simulate
 from oed_sysid.compiled.kernels import Kernel
-from oed_sysid.data.dataset import Dataset
-from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.catalogue import catalogue_folder
 from oed_sysid.experiments.definition import effect_faults
-from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.experiments.problem import Problem, load_problem
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information import information_of
 from oed_sysid.physics import Effect
-from oed_sysid.physics.model import Model
 from oed_sysid.runtime.constants import DIFFERENCE_STEP
 
 # -- the contract of an effect ---------------------------------------------------------

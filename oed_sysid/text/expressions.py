@@ -40,16 +40,17 @@ from oed_sysid.text.callables import Function, Table, library, n_arguments
 # -- the grammar of expressions --------------------------------------------------------
 
 
+# What NumPy calls otherwise than CasADi.
+_IN_NUMPY = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2"}
 # Every function: on CasADi symbols, and on NumPy arrays.
 _LIBRARY: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
     **{
-        name: (getattr(ca, name), getattr(np, name))
-        for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "sqrt", "exp", "log")
+        name: (getattr(ca, name), getattr(np, _IN_NUMPY.get(name, name)))
+        for name in (
+            *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"),
+            *("sqrt", "exp", "log"),
+        )
     },
-    "asin": (ca.asin, np.arcsin),
-    "acos": (ca.acos, np.arccos),
-    "atan": (ca.atan, np.arctan),
-    "atan2": (ca.atan2, np.arctan2),
     "abs": (ca.fabs, np.abs),
     "sign": (ca.sign, np.sign),
     "floor": (ca.floor, np.floor),
@@ -66,10 +67,8 @@ _LIBRARY: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
 }
 SYMBOLIC = {name: symbolic for name, (symbolic, _) in _LIBRARY.items()}
 NUMERIC = {name: numeric for name, (_, numeric) in _LIBRARY.items()}
-FUNCTIONS = (
-    *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "sqrt"),
-    *("exp", "log", "abs", "sign", "floor", "min", "max", "clip", "where"),
-)
+# Those that are called by name: logic has words between its operands.
+FUNCTIONS = tuple(name for name in _LIBRARY if name not in ("and", "or", "not"))
 CONSTANTS = {"pi": math.pi}
 MANY = ("min", "max")  # two arguments or more
 ARGUMENT_COUNT = {"atan2": 2, "min": 2, "max": 2, "where": 3, "clip": 3}
