@@ -1,7 +1,8 @@
-"""Which format a log has, by its first bytes, then by its name; readers of the simpler ones.
+"""Which format a log has, by its first bytes, then by its name; the readers of all of them.
 
-Read here are tables with a header (CSV, Excel with openpyxl, Parquet with pyarrow, objects of
-pandas and xarray), PX4 logs (ULog, with pyulog), ArduPilot DataFlash logs (.bin, with pymavlink)
+Read are tables with a header (CSV, Excel with openpyxl, Parquet with pyarrow, objects of pandas and
+xarray), PX4 logs (ULog, with pyulog), ArduPilot DataFlash logs (.bin, with pymavlink), ROS 1 and
+ROS 2 bags (with rosbags), MCAP files (with mcap), NMEA 0183 sentences in a text file (with pynmea2)
 and MATLAB files (.mat with SciPy, of version 7.3 with h5py).
 """
 
@@ -9,11 +10,12 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import re
 import tomllib
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from dataclasses import replace
-from datetime import datetime
+from dataclasses import is_dataclass, replace
+from datetime import UTC, datetime
 from functools import partial
 from importlib.util import find_spec
 from itertools import zip_longest
@@ -27,11 +29,9 @@ from oed_sysid.data.apart import guarded, read_apart
 from oed_sysid.data.csv_columns import EPOCH, counted_on, unit_of_counts
 from oed_sysid.data.frames import columns_of, is_time, plain
 from oed_sysid.data.log import TABLE, Log, Rows, assemble, meaning, topics_of, until_torn
-from oed_sysid.data.nmea import read_nmea
-from oed_sysid.data.ros import read_bag, read_mcap
 from oed_sysid.errors import DataError, library
 from oed_sysid.runtime.files import read_bytes
-from oed_sysid.text.csv_table import read_table, time_stamp
+from oed_sysid.text.csv_table import read_table, text_lines, time_stamp
 from oed_sysid.text.units import is_unit, parse_header, to_si
 
 # -- tables with a header --------------------------------------------------------------
@@ -364,6 +364,344 @@ def _unit(text: str | None) -> tuple[str, float]:
     if unit[0] in prefixes and is_unit(rest):
         return rest, factor * prefixes[unit[0]]
     return "", 1.0
+
+
+# -- ROS bags and MCAP files -------------------------------------------------------------
+
+# Longer arrays are pictures, scans and covariances.
+MOST_ENTRIES = 16
+
+
+# Topic, time of arrival (ns) and content of every message.
+_Messages = Iterator[tuple[str, int, Callable[[], Any]]]
+# Time of arrival, time of the header and numbers of messages, by topic.
+_Stamped = dict[str, list[tuple[int, int, dict[str, float]]]]
+
+
+def _of_messages(path: Path, kind: str, messages: _Messages) -> Log:
+    """Log of topic, time of arrival (ns) and content of every message.
+
+    Times stay whole nanoseconds as long as they count from far away: as floats they would be
+    rounded.
+    """
+    rows: _Stamped = {}
+    notes, skipped = list[str](), dict[str, str]()
+    for topic, received, content in until_torn(messages, path, notes):
+        if topic in skipped:
+            continue
+        try:
+            numbers = dict(_flat(content(), ""))
+        except Exception as error:  # an unknown type, or a torn message
+            why = str(error) or type(error).__name__
+            skipped[topic] = why if isinstance(error, DataError) else why[:80]
+            continue
+        seconds = numbers.pop("header.stamp.sec", numbers.pop("header.stamp.secs", 0.0))
+        rest = numbers.pop("header.stamp.nanosec", numbers.pop("header.stamp.nsecs", 0.0))
+        numbers.pop("header.seq", None)
+        name = topic.strip("/").replace("/", "_") or "topic"
+        rows.setdefault(name, []).append((received, int(seconds) * 10**9 + int(rest), numbers))
+    notes += [f"Topic {topic} was left out: {why}" for topic, why in skipped.items()]
+    if not rows and skipped:
+        topic, why = next(iter(skipped.items()))
+        raise DataError(f"No topic of {path.name} can be read. {topic}: {why}")
+    return assemble(path, kind, topics_of(_timed(rows, notes)), notes=notes)
+
+
+def _timed(rows: _Stamped, notes: list[str]) -> Rows:
+    """Messages at the times of their headers, or of their arrival."""
+    timed: Rows = {}
+    first = min((got for every in rows.values() for got, _, _ in every), default=0)
+    for name, every in rows.items():
+        times = np.array([(got - first, own - first) for got, own, _ in every]) * 1e-9
+        # A sensor's own clock is better than the recorder's, if it counts the same time.
+        known = min(own for _, own, _ in every) > 0
+        agrees = np.abs(times[:, 1] - times[:, 0]).max() < 60.0
+        if known and not agrees:
+            notes.append(f"{name}: header stamps are of another clock; times of arrival used.")
+        clock = times[:, int(known and agrees)]
+        timed[name] = [(time, row) for time, (_, _, row) in zip(clock, every, strict=True)]
+    return timed
+
+
+def _flat(message: Any, prefix: str) -> Iterator[tuple[str, float]]:
+    """Names and values of all numbers in a message."""
+    if isinstance(message, bool | int | float | np.number):
+        yield prefix.lstrip("."), float(message)
+    for key, value in _parts(message):
+        yield from _flat(value, f"{prefix}{key}")
+
+
+def _parts(message: Any) -> Iterator[tuple[str, Any]]:
+    """Fields of a message and entries of a short array, by how they are written."""
+    if isinstance(message, Mapping):
+        yield from ((f".{key}", value) for key, value in message.items())
+    elif is_dataclass(message):
+        yield from _parts({key: one for key, one in vars(message).items() if key[:2] != "__"})
+    elif isinstance(message, Sequence | np.ndarray) and not isinstance(message, str | bytes):
+        few = len(message) <= MOST_ENTRIES
+        yield from ((f"[{index}]", value) for index, value in enumerate(message if few else ()))
+
+
+def read_bag(path: Path) -> Log:
+    """Read a ROS 1 bag (file) or a ROS 2 bag (folder).
+
+    Parameters
+    ----------
+    path : Path
+        ``run.bag``, or the folder with ``metadata.yaml``.
+
+    Raises
+    ------
+    DataError
+        If rosbags is missing, or the bag is damaged or was not closed.
+    """
+    highlevel = library("rosbags.highlevel", "Reading a ROS bag")
+    typesys = library("rosbags.typesys", "Reading a ROS bag")
+    store = typesys.get_typestore(typesys.Stores.LATEST) if path.is_dir() else None
+
+    def messages() -> _Messages:
+        with highlevel.AnyReader([path], default_typestore=store) as reader:
+            for connection, received, raw in reader.messages():
+                content = partial(reader.deserialize, raw, connection.msgtype)
+                yield connection.topic, received, content
+
+    return _of_messages(path, "ROS 2 bag" if path.is_dir() else "ROS 1 bag", messages())
+
+
+def read_mcap(path: Path) -> Log:
+    """Read an MCAP file with messages of ROS 1, ROS 2, protobuf or JSON.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    DataError
+        If mcap is missing, or nothing in the file can be read.
+    """
+    reader_module = library("mcap.reader", "Reading an MCAP file")
+    decoders: dict[int, Callable[[bytes], Any]] = {}
+
+    def content(schema: Any, channel: Any, raw: bytes) -> Any:
+        if channel.id not in decoders:
+            decoders[channel.id] = _decoder(schema, channel)
+        return decoders[channel.id](raw)
+
+    def messages() -> _Messages:
+        with path.open("rb") as stream:
+            reader = reader_module.NonSeekingReader(stream)
+            for schema, channel, message in reader.iter_messages(log_time_order=False):
+                decoded = partial(content, schema, channel, message.data)
+                yield channel.topic, message.log_time, decoded
+
+    return _of_messages(path, "MCAP file", messages())
+
+
+def _decoder(schema: Any, channel: Any) -> Callable[[bytes], Any]:
+    """What turns the bytes of a channel into a message."""
+    if channel.message_encoding == "json":
+        return json.loads
+    if channel.message_encoding in ("cdr", "ros1") and schema is not None:
+        typesys = library("rosbags.typesys", "Reading an MCAP file of ROS messages")
+        name = schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/")
+        store = typesys.get_typestore(typesys.Stores.EMPTY)
+        text, idl = schema.data.decode(), schema.encoding == "ros2idl"
+        store.register(
+            typesys.get_types_from_idl(text) if idl else typesys.get_types_from_msg(text, name)
+        )
+        read = getattr(store, f"deserialize_{channel.message_encoding}")
+        return lambda raw: read(raw, name)
+    if channel.message_encoding == "protobuf" and schema is not None:
+        return _protobuf(schema)
+    raise DataError(
+        f"its messages are encoded as {channel.message_encoding!r}; protobuf, cdr (ROS 2), "
+        "ros1 and json are read. Convert the file, or export the topic as CSV."
+    )
+
+
+def _protobuf(schema: Any) -> Callable[[bytes], Any]:
+    """What turns bytes into a message by the descriptors that the file holds."""
+    what = "Reading an MCAP file of protobuf messages"
+    descriptor = library("google.protobuf.descriptor_pb2", what)
+    pools = library("google.protobuf.descriptor_pool", what)
+    factory = library("google.protobuf.message_factory", what)
+    files = descriptor.FileDescriptorSet.FromString(schema.data)
+    kinds = factory.GetMessageClassesForFiles
+    pool = pools.DescriptorPool()
+    waiting = list(files.file)
+    while waiting:  # each file behind those that it needs
+        known = {one.name for one in waiting}
+        ready = [one for one in waiting if known.isdisjoint(one.dependency)]
+        for one in ready:
+            pool.Add(one)
+        if not ready:
+            raise DataError("its protobuf descriptors need each other in a circle.")
+        waiting = [one for one in waiting if one not in ready]
+    made = kinds([one.name for one in files.file], pool)[schema.name]
+    return lambda raw: _of_protobuf(made.FromString(raw))
+
+
+def _of_protobuf(message: Any) -> dict[str, Any]:
+    """Fields of a protobuf message as numbers, lists and tables; a header's stamp as of ROS."""
+    return {
+        one.name: (
+            [_of_protobuf(part) if one.message_type else part for part in value]
+            if one.is_repeated
+            else _of_protobuf(value)
+            if one.message_type
+            else value
+        )
+        for one in message.DESCRIPTOR.fields
+        if not (one.message_type and one.message_type.GetOptions().map_entry)
+        for value in (getattr(message, one.name),)
+    }
+
+
+# -- NMEA 0183 -------------------------------------------------------------------------
+
+# Few sentences have a time. Where lines begin with one (a number of seconds, an ISO time, or a tag
+# block \c:1700000000*hh\), it is used. Otherwise the position sentences' own times (RMC, GGA, GLL,
+# ZDA) are the clock, and the sentences between two of them are spread evenly.
+_SENTENCE = re.compile(r"[$!][A-Z][A-Z0-9]{2,}[,*].*")
+_TAG = re.compile(r"\\[^\\]*?c:(\d{9,16})[^\\]*\\")
+
+
+def read_nmea(path: Path) -> Log:
+    """Read a file of NMEA 0183 sentences.
+
+    Topics are talker and sentence (``HEHDT``), fields those of pynmea2; latitude and longitude
+    are in degrees, north and east positive.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    DataError
+        If pynmea2 is missing, or no sentence can be read or timed.
+    """
+    parsed, bad = _sentences(path)
+    if not parsed:
+        raise DataError(
+            f"{path.name} holds no NMEA 0183 sentence with a right checksum ({bad} were refused). "
+            "Log whole lines, from $ to the checksum."
+        )
+    notes = [f"{bad} of {bad + len(parsed)} sentences were torn and left out."] if bad else []
+    times, words = _times(path, [stamp for _, _, stamp, _ in parsed], [t for *_, t in parsed])
+    notes += [words] if words else []
+    rows: Rows = {}
+    for (topic, numbers, _, _), time in zip(parsed, times, strict=True):
+        rows.setdefault(topic, []).append((time, numbers))
+    return assemble(path, "NMEA 0183", topics_of(rows), notes=notes)
+
+
+def sentence_of(line: str) -> tuple[float | None, str, dict[str, float]] | None:
+    """Logger's time in front, type and numbers of one line; None if it holds no whole sentence.
+
+    Parameters
+    ----------
+    line : str
+        From a logger or a port.
+    """
+    before, sentence = _parsed(line)
+    return sentence and (_stamp(before), sentence.sentence_type, _numbers(sentence))
+
+
+def _parsed(line: str) -> tuple[str, Any]:
+    """What stands in front of a sentence, and the sentence; None if there is no whole one."""
+    pynmea2 = library("pynmea2", "Reading NMEA 0183 sentences")
+    if (found := _SENTENCE.search(line)) is None:
+        return line, None
+    try:
+        return line[: found.start()], pynmea2.parse(found.group().strip(), check=True)
+    except Exception:  # a wrong checksum or a torn line
+        return line, None
+
+
+_Parsed = tuple[str, dict[str, float], float | None, float | None]
+
+
+def _sentences(path: Path) -> tuple[list[_Parsed], int]:
+    """Topic, numbers, time of the logger and time of day of every sentence; how many are torn."""
+    parsed: list[_Parsed] = []
+    lines = [line for _, line in text_lines(path) if _SENTENCE.search(line)]
+    for line in lines:
+        before, sentence = _parsed(line)
+        if sentence is not None:
+            topic = f"{getattr(sentence, 'talker', '') or ''}{sentence.sentence_type}"
+            if sentence.sentence_type == "RPM":  # engines (E) and shafts (S) take turns
+                topic += f"_{sentence.source}{sentence.engine_no}"
+            parsed.append((topic, _numbers(sentence), _stamp(before), _time_of_day(sentence)))
+    return parsed, len(lines) - len(parsed)
+
+
+def _numbers(sentence: Any) -> dict[str, float]:
+    names = [name for _, name, *_ in getattr(sentence, "fields", ())] + ["latitude", "longitude"]
+    result = {}
+    for name in names:
+        if name not in ("lat", "lon", "timestamp", "datestamp"):
+            with contextlib.suppress(TypeError, ValueError):
+                result[name] = float(getattr(sentence, name, None))  # type: ignore[arg-type]
+    return result
+
+
+def _stamp(before: str) -> float | None:
+    """Time of the logger in front of a sentence, in s."""
+    tag = _TAG.search(before)
+    if tag:
+        value = float(tag[1])
+        return value * 1e-3 if value > 1e11 else value
+    text = before.strip().strip(",;: \t[]")
+    number = re.fullmatch(r"\d+(\.\d+)?", text)
+    if number:
+        return float(text)
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        return None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
+def _time_of_day(sentence: Any) -> float | None:
+    moment = getattr(sentence, "timestamp", None)
+    if moment is None or isinstance(moment, str):
+        return None
+    return 3600.0 * moment.hour + 60.0 * moment.minute + moment.second + 1e-6 * moment.microsecond
+
+
+def _times(
+    path: Path, stamps: list[float | None], of_day: list[float | None]
+) -> tuple[np.ndarray, str]:
+    """Time of every sentence, and what was done to find it."""
+    if all(stamp is not None for stamp in stamps):
+        return np.array(stamps, dtype=float), ""
+    known = [index for index, time in enumerate(of_day) if time is not None]
+    if not known:
+        raise DataError(
+            f"{path.name} has no times: neither its lines nor a sentence (RMC, GGA, GLL, ZDA) "
+            "says when. Log with a time in front of each line."
+        )
+    moments = np.array([of_day[index] for index in known], dtype=float)
+    moments = counted_on(moments)
+    # Sentences of one moment come after each other: the first of them has the time.
+    first = np.concatenate([[True], np.diff(moments) > 0.0])
+    places, values = np.array(known)[first].astype(float), moments[first]
+    if len(values) < 2:
+        raise DataError(f"{path.name} covers a single moment. Nothing moves in it.")
+    # Before the first known moment and after the last one, at the usual pace.
+    pace, last = (values[-1] - values[0]) / (places[-1] - places[0]), len(stamps) - 1.0
+    begin, end = values[0] - pace * places[0], values[-1] + pace * (last - places[-1])
+    times = np.interp(np.arange(last + 1.0), [0.0, *places, last], [begin, *values, end])
+    step = float(np.median(np.diff(values)))
+    return times, (
+        f"Only {len(known)} of {len(stamps)} sentences have a time; the others are spread evenly "
+        f"between these ({step:.3g} s apart), which may be wrong by as much. A logger that writes "
+        "a time in front of each line is better."
+    )
 
 
 # -- MATLAB files ----------------------------------------------------------------------

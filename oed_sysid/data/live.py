@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.csv_columns import Columns
-from oed_sysid.data.nmea import sentence_of
+from oed_sysid.data.formats import sentence_of
 from oed_sysid.data.record import TURN
 from oed_sysid.errors import DataError, library
 from oed_sysid.physics.channels import Channels

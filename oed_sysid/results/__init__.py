@@ -22,6 +22,7 @@ from oed_sysid.results.estimator_plots import (
 )
 from oed_sysid.results.fit_plots import (
     figure_fit,
+    figure_frequency,
     figure_predictions,
     figure_whiteness,
     plot_autocorrelation,
@@ -34,7 +35,6 @@ from oed_sysid.results.fit_plots import (
     plot_prediction_error,
     plot_profile,
 )
-from oed_sysid.results.frequency_plots import figure_frequency
 from oed_sysid.results.improvement_plots import (
     figure_diagnosis,
     figure_force,
