@@ -254,9 +254,7 @@ class Contestant:
             model = with_region(model)
             if start is not None:
                 changes["initial"] = dict(start)
-        estimator = self.estimator
-        if changes:
-            estimator = cast(Estimator, replace(cast(Any, estimator), **changes))
+        estimator = cast(Estimator, replace(cast(Any, self.estimator), **changes))
         return estimator, with_beliefs(model) if self.believes else model
 
 

@@ -26,9 +26,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations
 
 import casadi as ca
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from oed_sysid.compiled.graph import Graph, build
 from oed_sysid.data.dataset import Dataset
@@ -288,28 +290,20 @@ class Rows:
 
     def groups(self) -> list[tuple[int, ...]]:
         """Positions of the equations, those together that share a parameter with each other."""
-        found: list[tuple[set[str], tuple[int, ...]]] = []
-        for index in range(len(self.form.equations)):
-            names: set[str] = set(self.equation(index)[2])
-            group: tuple[int, ...] = (index,)
-            for one in [one for one in found if one[0] & names]:
-                found.remove(one)
-                names, group = names | one[0], one[1] + group
-            found.append((names, group))
-        return sorted(group for _, group in found)
+        held = [{*self.equation(index)[2]} for index in range(len(self.form.equations))]
+        shared = [[not one.isdisjoint(other) for other in held] for one in held]
+        n_groups, labels = connected_components(np.array(shared))
+        return [tuple(np.flatnonzero(labels == k).tolist()) for k in range(n_groups)]
 
     def check_separate(self) -> None:
         """Raise :class:`ModelError` where two equations share a parameter."""
-        owner: dict[str, str] = {}
-        for index, equation in enumerate(self.form.equations):
-            for name in self.equation(index)[2]:
-                if name in owner:
-                    raise ModelError(
-                        f"{name} appears in the equations of {owner[name]} and of {equation}; "
-                        "this estimator solves each equation alone. Use EquationError, which "
-                        "solves them together."
-                    )
-                owner[name] = equation
+        held = {equation: self.equation(i)[2] for i, equation in enumerate(self.form.equations)}
+        for (one, own), (other, theirs) in combinations(held.items(), 2):
+            if shared := [name for name in theirs if name in own]:
+                raise ModelError(
+                    f"{shared[0]} appears in the equations of {one} and of {other}; this estimator "
+                    "solves each equation alone. Use EquationError, which solves them together."
+                )
 
 
 def rows_of(

@@ -47,6 +47,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -499,17 +500,14 @@ class FourierStream:
             return {}
         groups = self._signals[:n].reshape(-1, NEIGHBOURS, self._signals.shape[1])
         power = (np.abs(groups) ** 2).sum(axis=1)
-        n_inputs, found = len(self.model.input_names), {}
-        for i, command in enumerate(self.model.input_names):
-            for j, response in enumerate(self.model.output_names, start=n_inputs):
-                cross = np.abs((groups[:, :, j] * groups[:, :, i].conj()).sum(axis=1)) ** 2
-                total = power[:, i].sum() * power[:, j].sum()
-                # |S_xy|^2 / (S_xx S_yy) over neighbouring frequencies, one alone being always
-                # coherent.
-                part = cross / np.maximum(power[:, i] * power[:, j], 1e-300)
-                weight = power[:, j] / max(power[:, j].sum(), 1e-300)
-                found[command, response] = float(part @ weight) if total > 0 else 0.0
-        return found
+        cross = np.abs(np.einsum("gki,gkj->gij", groups.conj(), groups)) ** 2
+        # |S_xy|^2 / (S_xx S_yy) over neighbouring frequencies, one alone being always coherent.
+        parts = cross / np.maximum(power[:, :, None] * power[:, None, :], 1e-300)
+        weights = power / np.maximum(power.sum(axis=0), 1e-300)
+        n_inputs = len(self.model.input_names)
+        found = np.einsum("gij,gj->ij", parts, weights)[:n_inputs, n_inputs:]
+        pairs = product(self.model.input_names, self.model.output_names)
+        return dict(zip(pairs, found.ravel().tolist(), strict=True))
 
     def document(self, *, title: str = "", goal: float = 0.1) -> Report:
         """Return where the run stands: advice, estimates with errors, coherence.

@@ -325,8 +325,7 @@ class DifferentialSwarm(TrajectorySearch):
         rng = np.random.default_rng(self.seed)
         best = rng.uniform(cost.lower, cost.upper, (self.n_particles, len(cost.lower)))
         values = cost(best)
-        history = [float(values.min())]
-        converged = False
+        history, status = [float(values.min())], CONVERGED
         for _ in range(self.n_generations):
             moved = self._moved(best, best[np.argmin(values)], rng)
             moved = redrawn(moved, best, cost.lower, cost.upper, rng)
@@ -334,20 +333,18 @@ class DifferentialSwarm(TrajectorySearch):
             better = found < values
             best[better], values[better] = moved[better], found[better]
             history.append(float(values.min()))
-            gap = values.max() - values.min()
-            converged = bool(gap <= max(self.tolerance * values.min(), 1e-300))
-            converged |= bool(values.max() <= self.tolerance**2)
-            if converged:
+            alike = np.ptp(values) <= max(self.tolerance * values.min(), 1e-300)
+            if alike or values.max() <= self.tolerance**2:
                 break
-        status = CONVERGED
-        spread = best.std(axis=0) / np.maximum(cost.upper - cost.lower, 1e-300)
-        wide = [n for n, s in zip(cost.model.free_names, spread, strict=True) if s > 0.05]
-        if wide and not converged:
-            status = Status(
-                "iterations",
-                f"the swarm has not gathered yet in {', '.join(wide)}. Raise n_generations, "
-                "narrow the bounds, or start MultipleShooting from here with warm=fit.",
-            )
+        else:
+            spread = best.std(axis=0) / np.maximum(cost.upper - cost.lower, 1e-300)
+            wide = [n for n, s in zip(cost.model.free_names, spread, strict=True) if s > 0.05]
+            if wide:
+                status = Status(
+                    "iterations",
+                    f"the swarm has not gathered yet in {', '.join(wide)}. Raise n_generations, "
+                    "narrow the bounds, or start MultipleShooting from here with warm=fit.",
+                )
         return cost.ended(
             best[np.argmin(values)], len(history) - 1, status, history=np.array(history)
         )

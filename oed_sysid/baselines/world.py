@@ -128,9 +128,7 @@ class World:
             outputs += 20.0 * struck * std * np.sign(for_spikes.standard_normal(outputs.shape))
         if self.offset:
             outputs += self.offset * std * np.sign(for_offset.standard_normal(len(std)))
-        if self.sparse > 1:
-            kept = np.arange(len(outputs)) % self.sparse == 0
-            outputs[~kept] = np.nan
+        outputs[np.arange(len(outputs)) % self.sparse > 0] = np.nan
         return run.with_outputs(outputs)
 
     def _pushed(

@@ -163,10 +163,10 @@ class Shown:
         self._began = clock()
         self._what = what
         self._detail = ""
+        self._fitting = False
         self._first: tuple[float, float] | None = None
-        self._left: tuple[float, float] | None = None  # when it was said, and seconds
-        self._most = self._fitting = False
-        self._of = ""
+        self._end: float | None = None  # when the work will be done, by the clock
+        self._left_of = ""  # of which part, and whether that is a bound
         self._reached = (self._began, 0.0)  # when the present pass began, and the share done then
         self._done = 0.0
 
@@ -174,7 +174,7 @@ class Shown:
         """Tell what is being done from now on."""
         self._what, self._detail, self._first = what[:1].upper() + what[1:], "", None
         if self._fitting:
-            self._left, self._fitting = None, False
+            self._end, self._fitting = None, False
         self._tell()
 
     def iteration(self, state: Progress, tolerance: float = 1e-6) -> None:
@@ -190,8 +190,8 @@ class Shown:
         began, top = self._first
         if now > began and top - here > 1.0:
             speed = (top - here) / (now - began)
-            self._left = (now, max(0.0, (here - math.log(tolerance)) / speed))
-            self._most, self._fitting = False, True
+            self._end = now + max(0.0, (here - math.log(tolerance)) / speed)
+            self._left_of, self._fitting = "", True
         self._tell()
 
     def share(self, done: float, *, at_most: bool = False, of: str = "") -> None:
@@ -209,7 +209,7 @@ class Shown:
         now = self._clock()
         if done < self._done:
             # Passes before tell nothing of this one, which may weigh more vehicles.
-            self._reached, self._left = (now, done), None
+            self._reached, self._end = (now, done), None
         self._done = done
         began, before = self._reached
         if before < done <= 1.0:
@@ -218,7 +218,8 @@ class Shown:
 
     def left(self, seconds: float, *, at_most: bool = False, of: str = "") -> None:
         """Tell how many seconds are left."""
-        self._left, self._most, self._of = (self._clock(), seconds), at_most, of
+        self._end = self._clock() + seconds
+        self._left_of = f" of {of}" * bool(of) + ", or less" * at_most
         self._tell()
 
     def _tell(self) -> None:
@@ -233,9 +234,7 @@ class Shown:
     @property
     def _seconds(self) -> float | None:
         """How many seconds are left; None where that is not known, or was said and is over."""
-        if self._left is None:
-            return None
-        left = self._left[1] - (self._clock() - self._left[0])
+        left = 0.0 if self._end is None else self._end - self._clock()
         return left if left > 0.0 else None
 
     @property
@@ -244,13 +243,11 @@ class Shown:
 
         Rounds that are left are a bound, their length is not: later ones may take longer.
         """
-        if self._left is None:
+        if self._end is None:
             return ""
-        left = self._seconds
-        if left is None:
+        if (left := self._seconds) is None:
             return "time left not known"
-        of = f" of {self._of}" if self._of else ""
-        return f"about {_duration(left)} left{of}{', or less' * self._most}"
+        return f"about {_duration(left)} left{self._left_of}"
 
     @property
     def line(self) -> str:

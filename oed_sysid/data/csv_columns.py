@@ -102,13 +102,11 @@ class Columns:
     def time_column(self, time: str | None = None) -> int:
         """Position of the column of times: of the header or name given, or called as usual."""
         wanted = TIME_NAMES if time is None else (time,)
-        names = [name for name, _ in self.parsed]
-        # A name that was given is meant to the letter.
-        meant = names if time is not None else [name.lower() for name in names]
-        ways = enumerate(zip(self.table.headers, names, meant, strict=True))
-        matches = [index for index, way in ways if not {*way}.isdisjoint(wanted)]
-        if len(matches) > 1:  # a thrust T beside a time t
-            matches = [index for index in matches if names[index] in wanted] or matches
+        ways = zip(self.table.headers, self.parsed, strict=True)
+        matches = [i for i, (header, (name, _)) in enumerate(ways) if {header, name} & {*wanted}]
+        # A name that was given is meant to the letter; a thrust T beside a time t is no time.
+        if time is None and not matches:
+            matches = [i for i, (name, _) in enumerate(self.parsed) if name.lower() in wanted]
         if len(matches) != 1:
             what = "no" if not matches else "more than one"
             raise DataError(

@@ -567,9 +567,7 @@ def overlap(a: Record, b: Record) -> Overlap | None:
 
 def _span(signals: np.ndarray) -> np.ndarray:
     """Largest minus smallest value of each signal, shape ``(n_signals,)``; 0 if constant."""
-    finite = np.where(np.isfinite(signals), signals, np.nan)
-    seen = np.isfinite(finite).any(axis=0)
-    filled = np.where(seen, finite, 0.0)
+    filled = np.where(np.isfinite(signals).any(axis=0), signals, 0.0)
     span = np.nanmax(filled, axis=0) - np.nanmin(filled, axis=0)
     # A heading of 350 deg that moves by one has lost digits to its size.
     size = np.nanmax(np.abs(filled), axis=0)
@@ -621,9 +619,9 @@ def _shifts(a: Record, b: Record, span: np.ndarray, tolerance: float) -> list[fl
         return []
     step = max(IMMATERIAL * min(a.sample_time, b.sample_time), 1e-12)
     found = np.array(votes)
-    bins, first, counts = np.unique(np.round(found / step), return_index=True, return_counts=True)
+    _, first, counts = np.unique(np.round(found / step), return_index=True, return_counts=True)
     order = np.argsort(-counts, kind="stable")[:6]
-    return [float(found[first[i]]) for i in order if bins.size]
+    return found[first[order]].tolist()
 
 
 def _compared(

@@ -17,7 +17,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import expit
+from scipy.integrate import cumulative_trapezoid
+from scipy.special import expit, softmax
 
 from oed_sysid.data.log import TABLE, Log, Series, meaning, symbol_of
 from oed_sysid.data.record import TURN, clear_wraps, unwrapped
@@ -139,7 +140,7 @@ class Fields:
         self.every = [Field.of(one, times) for one in every]
         self.columns = np.array([one.values for one in self.every]).T.reshape(len(times), -1)
         self.free = self.detrended(self.columns)
-        self.sums = self.detrended(integrals(self.times, self.columns))
+        self.sums = self.summed(self.columns)
         self.options = cache(self._options)  # asked again and again of the same fields
 
     def detrended(self, columns: np.ndarray) -> np.ndarray:
@@ -148,9 +149,9 @@ class Fields:
         base = np.linalg.qr(base)[0]
         return np.asarray(columns - base @ (base.T @ columns))
 
-    def summed(self, rate: np.ndarray) -> np.ndarray:
-        """Integral of a rate, without mean and trend ``(n_times,)``."""
-        return self.detrended(integrals(self.times, rate[:, None])[:, 0])
+    def summed(self, rates: np.ndarray) -> np.ndarray:
+        """Integrals of rates ``(n_times, n)``, or of one, without mean and trend."""
+        return self.detrended(integrals(self.times, rates))
 
     def open_to(self, role: str) -> list[int]:
         """Fields whose names do not say that they are something else."""
@@ -250,16 +251,15 @@ def _block_means(at: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.nd
     half = 0.5 * (times[1] - times[0])
     if at.size <= times.size:
         return np.interp(times, at, values)
-    whole = integrals(at, values[:, None])[:, 0]
+    whole = integrals(at, values)
     low, high = np.maximum(times - half, at[0]), np.minimum(times + half, at[-1])
     width = np.maximum(high - low, 1e-12)
     return (np.interp(high, at, whole) - np.interp(low, at, whole)) / width
 
 
 def integrals(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Cumulative integrals of columns ``(n, k)``, by trapezia."""
-    steps = np.diff(times)[:, None] * 0.5 * (columns[1:] + columns[:-1])
-    return np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(steps, axis=0)])
+    """Cumulative integrals of columns ``(n, k)``, or of one, by trapezia."""
+    return np.asarray(cumulative_trapezoid(columns, times, axis=0, initial=0.0))
 
 
 def line(by: np.ndarray, series: np.ndarray) -> tuple[float, float]:
@@ -300,8 +300,7 @@ def certain(share: float, fits: float, named: float) -> bool:
 
 def chances(scores: Sequence[float]) -> np.ndarray:
     """Probabilities of alternatives with scores in nats."""
-    weights = np.exp(np.array(scores) - max(scores))
-    return weights / weights.sum()
+    return np.asarray(softmax(scores))
 
 
 def alone(score: float, others: Iterator[float]) -> bool:

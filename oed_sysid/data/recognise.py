@@ -47,7 +47,6 @@ from oed_sysid.data.fields import (
     explained,
     factor,
     hint_of,
-    integrals,
     likeliest,
     line,
     match,
@@ -442,7 +441,7 @@ class _Work:
         fields = self.fields
         size = fields.columns[:, speed] if speed >= 0 else np.ones_like(psi)
         turned = np.column_stack([size * np.cos(psi), size * np.sin(psi)])
-        base = fields.detrended(integrals(fields.times, turned))
+        base = fields.summed(turned)
         slopes, *_ = np.linalg.lstsq(base, fields.free, rcond=1e-6)
         power = np.sum(fields.free**2, axis=0)
         left = np.sum((fields.free - base @ slopes) ** 2, axis=0)

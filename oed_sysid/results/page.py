@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 from html import escape
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import jinja2
@@ -28,7 +27,6 @@ from oed_sysid.physics.model import Model
 from oed_sysid.results import improvement_plots
 from oed_sysid.results.chart import Chart
 from oed_sysid.results.style import finding, new_figure, signal_of
-from oed_sysid.runtime import files
 from oed_sysid.runtime.display import TWO_SIDED_95, Figure, Report, Section, Table, interval
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.units import shown_unit
@@ -108,12 +106,6 @@ def html(part: Report | Section, template: str) -> str:
     shown = part if template == "summary" else drawn(part)
     page = _environment().get_template(f"{template}.html.j2")
     return page.render(part=shown, version=__version__)
-
-
-def write(report: Report, path: str | Path) -> Path:
-    """Write a document as a page; see :meth:`oed_sysid.runtime.display.Report.write`."""
-    files.write_text(Path(path), report.html())
-    return Path(path)
 
 
 def numbers_page(content: Mapping[str, Any]) -> Report:

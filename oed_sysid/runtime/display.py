@@ -24,6 +24,8 @@ from pathlib import Path
 from types import NoneType
 from typing import Any
 
+from oed_sysid.runtime.files import write_text
+
 # Half of a 95 % interval of a normal variable, in standard deviations.
 TWO_SIDED_95 = 1.96
 
@@ -197,6 +199,16 @@ def told(text: str) -> str:
     return _NOTHING.sub(lambda found: f"below 0.{found[1][:-1]}1 %", text)
 
 
+def _tell(part: Any, *names: str) -> None:
+    """Write the numbers in texts, and in sequences of texts, of something new as people do."""
+
+    def in_words(value: Any) -> Any:
+        return told(value) if isinstance(value, str) else tuple(map(in_words, value))
+
+    for name in names:
+        object.__setattr__(part, name, in_words(getattr(part, name)))
+
+
 def counted(count: int, noun: str) -> str:
     """Return a number with its noun.
 
@@ -262,8 +274,7 @@ class Table:
     marked: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "headers", tuple(map(told, self.headers)))
-        object.__setattr__(self, "rows", tuple(tuple(map(told, row)) for row in self.rows))
+        _tell(self, "headers", "rows")
 
     def lines(self) -> list[str]:
         """Return the table as aligned lines of text."""
@@ -363,8 +374,7 @@ class Section:
     beside: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "title", told(self.title))
-        object.__setattr__(self, "paragraphs", tuple(map(told, self.paragraphs)))
+        _tell(self, "title", "paragraphs")
 
     @property
     def is_empty(self) -> bool:
@@ -429,13 +439,7 @@ class Report:
     head: Sequence[tuple[str, str]] = ()
 
     def __post_init__(self) -> None:
-        for name in ("answer", "headline"):
-            object.__setattr__(self, name, told(getattr(self, name)))
-        for name in ("verdict", "warnings"):
-            object.__setattr__(self, name, tuple(map(told, getattr(self, name))))
-        for name in ("numbers", "head"):
-            pairs = getattr(self, name)
-            object.__setattr__(self, name, tuple((what, told(value)) for what, value in pairs))
+        _tell(self, "answer", "headline", "verdict", "warnings", "numbers", "head")
 
     @property
     def first(self) -> tuple[str, ...]:
@@ -481,7 +485,8 @@ class Report:
         FileError
             If the file cannot be written; an older one is untouched.
         """
-        return Path(import_module(WRITER).write(self, path))
+        write_text(path, self.html())
+        return Path(path)
 
 
 def as_text(self: Any) -> str:
