@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from itertools import chain
 from typing import Any
 
@@ -33,10 +35,15 @@ from oed_sysid.text.units import shown_unit
 
 # Root mean square errors of every output, ``(n_outputs,)``, on ``train`` and ``test`` records.
 Errors = Mapping[str, np.ndarray]
+# Sentences, by what they are about.
+SAYS: dict[str, dict[str, str]] = tomllib.loads(
+    files(__package__).joinpath("improvement.toml").read_text("utf-8")
+)
 
 
-# Said where nothing is claimed and the misfit is no noise.
-UNCONFIRMED = "The misfit is more than noise, and no candidate is confirmed."
+def _say(about: str, row: str, **facts: Any) -> str:
+    """A sentence of the table."""
+    return SAYS[about][row].format(**facts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,17 +98,9 @@ class Yardstick:
 
     def notes(self) -> Sequence[str]:
         """Where noise levels are from, if nobody declared them."""
-        unknown = [output.name for output in self.outputs if output.noise_std is None]
-        lines = [
-            "Errors are root mean squares over whole records, in per cent of the signal's spread "
-            "in these."
-        ]
-        if unknown:
-            lines.append(
-                f"The noise of {', '.join(unknown)} was not declared: it is what the fastest "
-                "high-frequency content shows, or more where the final model needs it."
-            )
-        return lines
+        unknown = ", ".join(output.name for output in self.outputs if output.noise_std is None)
+        measure = SAYS["errors"]["measure"]
+        return [measure, _say("errors", "noise", names=unknown)] if unknown else [measure]
 
     def _cell(self, kind: str, errors: Errors, index: int) -> str:
         error = errors[kind][index]
@@ -396,78 +395,44 @@ class Improvement:
         """What is missing, and what it is worth on the validation records."""
         which, records = self._judged
         before, after = self.base_error[which], self.final_error[which]
-        if self.remains.kind == "log suspect":
-            return f"Log suspect: nothing about {self.base.name} can be claimed from it."
-        if self.verdict == "unexplained":
-            more = "misses more than noise"
-            if self.remains.kind == "not known":
-                more = "may miss more than noise (not known)"
-            return (
-                f"{self.base.name} {more}, and no candidate is confirmed: error on "
-                f"the {records} records {before:.3g} × noise{self._sizes()}."
-            )
-        if not self.steps:
-            shown = "that these records could show"
-            if self.remains.kind == "disturbance":
-                shown = "that these records could show beside disturbance forces"
-            return (
-                f"Nothing is missing from {self.base.name} {shown}: error on "
-                f"the {records} records {before:.3g} × noise{self._sizes()}."
-            )
-        names = " and ".join(
-            f"{in_words(step.effect, self.base)} ({step.added})" for step in self.steps
+        verdict, kind = self.verdict, self.remains.kind
+        detail = "open" if verdict == "missing" and kind in OPEN else kind
+        effects = (f"{in_words(step.effect, self.base)} ({step.added})" for step in self.steps)
+        rows = SAYS["answer"]
+        return rows.get(f"{verdict}, {detail}", rows[verdict]).format(
+            model=self.base.name,
+            effects=" and ".join(effects),
+            them="it" if len(self.steps) == 1 else "them",
+            records=records,
+            goes="falls" if after < before else "does not fall: it goes",
+            error=before,
+            after=after,
+            size=f" ({self.remains.size})" * bool(self.remains.size),
+            kind=kind,
         )
-        goes = "falls" if after < before else "does not fall: it goes"
-        them = "it" if len(self.steps) == 1 else "them"
-        begin = f"Missing from {self.base.name}: {names}"
-        if self.remains.kind in OPEN:
-            begin = f"{self.base.name} misses more than was found; it is likelier with {names}"
-        return (
-            f"{begin}. With {them} the error on the {records} "
-            f"records {goes} from {before:.3g} to {after:.3g} × noise{self._sizes()}; "
-            f"{self.remains.kind}."
-        )
-
-    def _sizes(self) -> str:
-        """Whole-run errors in units and per cent of the signals, in brackets."""
-        return f" ({self.remains.size})" if self.remains.size else ""
 
     def _story(self) -> display.Section:
-        """The steps, or why there is none."""
-        if not self.steps:
-            unexplained = self.verdict == "unexplained"
-            lines = [
-                UNCONFIRMED if unexplained else "Nothing is missing that these records could show."
-            ]
+        """The steps, or why there is none, and what the training records alone would have said."""
+        tables, lines = self._asked(), list[str]()
+        if self.steps:
+            headers = ("effect added", *TERMS, "training error", "validation error")
+            rows = [("(nominal)", "", "", "", "", *_cells(".3g", *self.base_error.values()))]
+            for step in self.steps:
+                errors = _cells(".3g", step.train_error, step.test_error)
+                rows.append((step.added, *_terms(step.claim), *errors))
+                if others := ", ".join(step.group[1:]):
+                    lines.append(_say("story", "alike", name=step.added, others=others))
+            tables = (display.Table(headers, rows), *tables)
+        else:
+            told = "unexplained" if self.verdict == "unexplained" else "nothing_missing"
+            lines.append(SAYS["story"][told])
             best = self.ranking.refits[0] if self.ranking.refits else None
             if best is not None and hopeful(best, 0.0) and best.gain < best.needed:
-                lines.append(
-                    f"A hint, no more: {best.name} would be worth {best.gain:.1f} on the training "
-                    f"records, where {best.needed:.1f} are needed. A manoeuvre that excites it "
-                    "would tell."
-                )
-            return display.Section("What is missing", [*lines, *self._refused()], self._asked())
-        headers = ("effect added", *TERMS, "training error", "validation error")
-        rows = [("(nominal)", "", "", "", "", *_cells(".3g", *self.base_error.values()))]
-        lines = []
-        for step in self.steps:
-            terms = _terms(step.claim)
-            rows.append((step.added, *terms, *_cells(".3g", step.train_error, step.test_error)))
-            if len(step.group) > 1:
-                lines.append(
-                    f"These records cannot tell {step.added} from {', '.join(step.group[1:])}."
-                )
-        tables = (display.Table(headers, rows), *self._asked())
-        return display.Section("What is missing", [*lines, *self._refused()], tables)
-
-    def _refused(self) -> list[str]:
-        """What the training records alone would have claimed."""
-        if not self.rejected:
-            return []
-        return [
-            f"Not claimed: {', '.join(self.rejected)}. What looked like it on the training records "
-            "did not repeat, or the conditions of a claim are not met."
-        ]
+                hint = {"name": best.name, "gain": best.gain, "needed": best.needed}
+                lines.append(_say("story", "hint", **hint))
+        if self.rejected:
+            lines.append(_say("story", "refused", names=", ".join(self.rejected)))
+        return display.Section("What is missing", lines, tables)
 
     def _asked(self) -> tuple[display.Table, ...]:
         """Every decision with every term of it."""
@@ -528,18 +493,12 @@ class Improvement:
     def _closing(self) -> list[str]:
         lines = []
         for term in self.proposed:
-            lines.append(
-                f"No known effect explains it alone: proposed is {term['term']} in the "
-                f"{term['equation']} equation, {term['parameter']} = {term['value']:.4g} "
-                f"{term['unit']}."
-            )
+            lines.append(_say("story", "term", **term))
             others = [name for name in term["group"] if name != term["term"]]
             if others:
-                lines.append(
-                    "These records cannot tell it from " + ", ".join(others[:MOST_DRAWN]) + "."
-                )
+                lines.append(_say("story", "alike_term", others=", ".join(others[:MOST_DRAWN])))
             if term["replaces"]:
-                lines.append("It takes the place of " + ", ".join(term["replaces"]) + ".")
+                lines.append(_say("story", "replaces", names=", ".join(term["replaces"])))
         return [*lines, *(f"Note: {note}" for note in self.notes), f"Verdict: {self.conclusion}"]
 
 
@@ -571,13 +530,13 @@ def advice(result: Improvement) -> list[str]:
     before, kind = result.base_error["test"], result.remains.kind
     for step in result.steps:
         other = _other_law(step, result.steps, estimates)
-        found, doubts = _judged(step, estimates, before, kind, other)
+        stands_for = "what is still missing" if kind in OPEN else other
+        found, doubts = _judged(step, estimates, before, stands_for, sized=kind in EXPLAINED)
         believe += found
         doubt += doubts
         sea += _manoeuvre(step.group, known, bool(result.base.inputs))
         before = step.test_error
-    doubt += _not_shown(result.steps, result.last or result.ranking)
-    doubt += _errors_that_do_not_hold(kind)
+    doubt += _left_open(result.steps, result.last or result.ranking, kind)
     lists = {
         "Only if the log is right" if kind == "log suspect" else "Believe": believe,
         "Do not believe": doubt,
@@ -585,15 +544,6 @@ def advice(result: Improvement) -> list[str]:
     }
     filled = ([f"{title}:", *(f"  - {one}" for one in of)] for title, of in lists.items() if of)
     return [*chain.from_iterable(filled)]
-
-
-def _errors_that_do_not_hold(kind: str) -> list[str]:
-    """Noise and disturbance forces the standard errors hold, nothing else."""
-    if kind in EXPLAINED:
-        return []
-    asked = kind != "not known"
-    why = "more is missing than was found" if asked else "whether more is missing is not known"
-    return [f"standard errors of the parameters: {why}."]
 
 
 def _other_law(step: Any, steps: Sequence[Any], estimates: Mapping[str, Mapping[str, Any]]) -> str:
@@ -626,60 +576,50 @@ def _judged(
     step: Any,
     estimates: Mapping[str, Mapping[str, Any]],
     before: float,
-    kind: str,
-    other: str = "",
+    stands_for: str,
+    *,
+    sized: bool,
 ) -> tuple[list[str], list[str]]:
-    """What one step claims, sizes where noise is left, and what is not to be believed."""
+    """What one step claims, perhaps with sizes, and what is not to be believed."""
     own = [(estimates[p.name], p) for p in step.effect.parameters if p.name in estimates]
-    sizes = [*(_size(*one) for one in own), *_sizes(step)]
-    shown, rivals, what = ", ".join(sizes), step.group[1:], " or ".join(step.group)
-    predicted = step.claim.validation
+    shown = ", ".join((*(_size(*one) for one in own), *_sizes(step)))
     unknown = ", ".join(p.name for row, p in own if not _is_told(row, p))
-    absent = {
-        # Correlated residuals widen the interval after a claim.
-        f"{what} before more records have shown it: the 95 % interval holds zero ({shown}).": own
-        and not any(abs(r["value"]) > display.TWO_SIDED_95 * r["std_error"] for r, _ in own),
-        f"that {what} acts in all records as in the training records: the validation records are "
-        f"less likely with it (2ΔlnL {predicted:.1f}). Name it with a size for each record "
-        f"(physics.in_each_record), or look for what differed.": predicted < -GROUP_WIDTH,
-    }
+    rivals, predicted = step.group[1:], step.claim.validation
+    # Correlated residuals widen the interval after a claim.
+    told = any(abs(row["value"]) > display.TWO_SIDED_95 * row["std_error"] for row, _ in own)
+    absent = {"zero": own and not told, "elsewhere": predicted < -GROUP_WIDTH}
     doubts = absent | {
-        f"the size of {unknown}: these records do not give it.": unknown,
-        f"{step.added} alone: with it whole validation runs are {step.test_error:.3g} x noise off, "
-        f"{before:.3g} before. Its claim rests on the model as a whole.": (
-            step.test_error > RISE * before
-        ),
-        f"that it is {step.added} ({shown}): {', '.join(rivals)} "
-        f"{'does' if len(rivals) == 1 else 'do'} as well.": rivals,
-        f"{step.added} before a validation record has confirmed it.": np.isnan(predicted),
+        "size": unknown,
+        "alone": step.test_error > RISE * before,
+        "rivals": rivals,
+        "untested": np.isnan(predicted),
     }
-    sized = f": {shown}" * bool(kind in EXPLAINED and sizes and not rivals)
-    stands_for = "what is still missing" if kind in OPEN else other
-    words = _helps(what, sized, stands_for, agrees=predicted > 0)
-    found = [] if any(absent.values()) else [words]
-    return found, [text for text, applies in doubts.items() if applies]
+    facts = {
+        "what": " or ".join(step.group), "added": step.added, "shown": shown, "unknown": unknown,
+        "rivals": ", ".join(rivals), "do": "does" if len(rivals) == 1 else "do",
+        "sized": f": {shown}" * bool(sized and shown and not rivals), "stands_for": stands_for,
+        "agree": ", the validation records agree" * (predicted > 0), "predicted": predicted,
+        "error": before, "after": step.test_error,
+    }  # fmt: skip
+    helps = _say("believe", "stands" if stands_for else "missing", **facts)
+    said = [_say("doubt", row, **facts) for row, applies in doubts.items() if applies]
+    return [] if any(absent.values()) else [helps], said
 
 
-def _helps(what: str, sized: str, stands_for: str, *, agrees: bool) -> str:
-    """What a claimed step says, in one sentence."""
-    agree = ", the validation records agree" * agrees
-    if stands_for:
-        return f"{what} helps{agree}; it may stand for {stands_for}."
-    return f"{what} is missing{agree}{sized}."
-
-
-def _not_shown(steps: Sequence[Any], ended: Ranking) -> list[str]:
-    """What would not have shown in these records, or is the same as what is free already."""
+def _left_open(steps: Sequence[Any], ended: Ranking, kind: str) -> list[str]:
+    """What would not have shown in these records, is free already, or makes errors too small."""
     added = {name for step in steps for name in (step.added, *step.group)}
     imitated = [name for name in ended.imitated() if name not in added]
     hidden = sorted(set(ended.undetectable()) - added - set(imitated))
     are, their = ("is", "its") if len(hidden) == 1 else ("are", "their")
+    facts = {"hidden": _several(hidden), "imitated": _several(imitated), "are": are, "their": their}
     doubts = {
-        f"that {_several(hidden)} {are} absent: {their} typical size would not show here.": hidden,
-        f"that these records say anything about {_several(imitated)}: parameters that are free "
-        "already do the same.": imitated,
+        "hidden": hidden,
+        "imitated": imitated,
+        "errors": kind not in (*EXPLAINED, "not known"),
+        "errors, not known": kind == "not known",
     }
-    return [text for text, names in doubts.items() if names]
+    return [_say("doubt", row, **facts) for row, applies in doubts.items() if applies]
 
 
 def _several(names: Sequence[str]) -> str:
@@ -693,15 +633,9 @@ def _manoeuvre(group: Sequence[str], known: Mapping[str, Any], commanded: bool) 
     if len(group) < 2:
         return []
     members = [name for name in group if name in known]
-    needs = sorted({known[name].needs for name in members} - {""})
-    lines = [f"to tell {' from '.join(group[:3])}: {'; '.join(needs)}."] if needs else []
-    if commanded:
-        names = " ".join(members)
-        lines.append(
-            "a manoeuvre for it, at the speed and sampling of an experiment of the problem: "
-            f"oed-sysid design PROBLEM --discriminate {names}"
-        )
-    return lines
+    needs = "; ".join(sorted({known[name].needs for name in members} - {""}))
+    lines = [_say("next", "apart", names=" from ".join(group[:3]), needs=needs)] if needs else []
+    return lines + [_say("next", "design", names=" ".join(members))] * commanded
 
 
 def _is_told(row: Mapping[str, Any], parameter: Parameter) -> bool:
