@@ -31,18 +31,17 @@ costs less than its threshold to leave out goes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from oed_sysid.evidence.misfit import are_white
-from oed_sysid.evidence.study import RISE, Prediction, Study, allowed_rise, worse
+from oed_sysid.evidence.study import RISE, Prediction, Study, allowed_rise, information, worse
 from oed_sysid.likelihood.departures import CLEARLY
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.information import whiteness
 from oed_sysid.likelihood.judgement import UNSEEN
-from oed_sysid.likelihood.projection import eliminate
 from oed_sysid.physics import Effect
 from oed_sysid.physics.parameters import Parameter, with_parameters
 from oed_sysid.runtime.constants import ROUNDING
@@ -173,42 +172,47 @@ def claim(
     spared : float
         Thresholds of the effects that they take the place of.
     """
-    found = _asked(study, before, after, effects, needed, spared)
-    smoothed = study.smoothed if effects and found.excess > 0.0 else None
-    twins = [
-        None if smoothed is None else smoothed.estimate(study.effects_of(fit), fit.values, fit)
-        for fit in (before, after)
-    ]
-    if smoothed is None or twins[0] is None or twins[1] is None:
-        return found
-    again = _asked(smoothed, twins[0], twins[1], effects, needed, spared)
-    return found if again.excess > 0.0 else replace(again, behind="with inputs smoothed")
-
-
-def _asked(
-    study: Study,
-    before: FilteredSolution,
-    after: FilteredSolution,
-    effects: Sequence[Effect],
-    needed: float,
-    spared: float,
-) -> Claim:
-    """The claim beside inputs as they are."""
     share, records, fits = independent_share(study, before), study.validation, (before, after)
-    told = [] if records is None else [study.predict(fit, records) for fit in fits]
+    models = tuple(
+        (fit.objective, None if records is None else study.predict(fit, records)) for fit in fits
+    )
+    told = [prediction.value for _, prediction in models if prediction]
     found = Claim(
-        " + ".join(effect.name for effect in effects),
+        joined(effects),
         share * (before.objective - after.objective),
-        share * difference(*(one.value for one in told)) if told else np.nan,
+        share * difference(*told) if told else np.nan,
         needed - spared,
         study.own_error(before),
         study.own_error(after),
         allowed_rise(after),
         independent=share,
-        models=tuple(zip([fit.objective for fit in fits], told or (None, None), strict=True)),
+        models=models,
         spared=spared,
     )
-    return _bounded(study, after, effects, found) if found.excess > 0.0 else found
+    if not (effects and found.excess > 0.0):
+        return found
+    found = _bounded(study, after, effects, found)
+    calm = _smoothed(study, *fits)
+    if calm is None:
+        return found
+    again = claim(*calm, effects, needed, spared)
+    return found if again.excess > 0.0 else replace(again, behind="with inputs smoothed")
+
+
+def joined(effects: Iterable[Effect]) -> str:
+    """Identifiers of effects that are asked together."""
+    return " + ".join(effect.name for effect in effects)
+
+
+def _smoothed(
+    study: Study, before: FilteredSolution, after: FilteredSolution
+) -> tuple[Study, FilteredSolution, FilteredSolution] | None:
+    """Study and fits with noisy inputs smoothed; None where none is noisy or a fit diverges."""
+    calm = study.smoothed
+    if calm is None:
+        return None
+    old, new = (calm.estimate(calm.effects_of(fit), fit.values, fit) for fit in (before, after))
+    return None if old is None or new is None else (calm, old, new)
 
 
 def _bounded(
@@ -266,13 +270,11 @@ def _runs_away(parameter: Parameter, value: float) -> bool:
 
 def _is_shown(fit: FilteredSolution, name: str) -> bool:
     """Whether the training records tell an amplitude that all of them share from nothing."""
-    layout, n = fit.problem.layout, fit.problem.layout.n_unknowns
-    if name not in layout.shared_names:
+    shared = fit.problem.layout.shared_names
+    if name not in shared:
         return False
-    at = np.array([layout.shared_names.index(name)])
-    matrix = fit.matrix + np.diag(fit.problem.limits.prior_weight)
-    (told,) = eliminate(matrix, at, np.delete(np.arange(n), at)).ravel()
-    return bool(told * fit.point.unknowns[at[0]] ** 2 > CLEARLY**2)
+    at = np.array([shared.index(name)])
+    return bool(information(fit, at) * fit.point.unknowns[at] ** 2 > CLEARLY**2)
 
 
 def _amplitudes(

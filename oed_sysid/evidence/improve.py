@@ -7,7 +7,7 @@ call finds the steps of one that did not end.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -17,16 +17,12 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.evidence.check import LogCheck, check, with_estimates
 from oed_sysid.evidence.corrections import as_measured
-from oed_sysid.evidence.improvement import (
-    Improvement,
-    Step,
-    Yardstick,
-    proposed_term,
-)
+from oed_sysid.evidence.improvement import Improvement, Step, Yardstick, proposed_terms
 from oed_sysid.evidence.locate import Located, likeliest, locate
 from oed_sysid.evidence.preparation import Prepared, prepared
 from oed_sysid.evidence.remainder import Remains
 from oed_sysid.evidence.search import Ended, Search, every_step
+from oed_sysid.evidence.sentences import say
 from oed_sysid.evidence.study import RISE, Study, worse
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.archive import encode
@@ -143,7 +139,7 @@ def improve(
     begin = partial(Study.begin, model, train, test, candidates, known_noise=known_noise)
     tell("fitting the nominal model")
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
-    notes = [*ready.notes, *left_out, *told, *_spikes(study), *_not_asked(candidates, study)]
+    notes = [*ready.notes, *left_out, *told, *_left_aside(study, candidates)]
     read_wrong = _read_wrong(study, base)
     notes += read_wrong
     # What is found in records whose input is read wrong replaces that input.
@@ -174,24 +170,21 @@ def _measured(
     return (prepared(train, test), words) if words else (ready, ())
 
 
-def _spikes(study: Study) -> list[str]:
-    """A note on training samples that stand out alone."""
-    rows = [f"{count} of {n} samples of {name}" for name, (count, n) in study.excluded.items()]
-    return [f"Left out of the training records as spikes: {', '.join(rows)}."] if rows else []
-
-
-def _not_asked(candidates: Sequence[Effect], study: Study) -> list[str]:
-    """A note on candidates that the model cannot take."""
+def _left_aside(study: Study, candidates: Sequence[Effect]) -> Iterator[str]:
+    """Notes on training samples that stand out alone, and candidates that it cannot take."""
+    spikes = [f"{count} of {n} samples of {name}" for name, (count, n) in study.excluded.items()]
+    if spikes:
+        yield say("records", "spikes", names=", ".join(spikes))
     known = {one.name for one in (*study.candidates, *study.base.effects)}
-    left = [one.name for one in candidates if one.name not in known]
-    return [f"Not asked, since the model cannot take them: {', '.join(left)}."] if left else []
+    if left := [one.name for one in candidates if one.name not in known]:
+        yield say("candidates", "unknown", names=", ".join(left))
 
 
 def _read_wrong(study: Study, base: FilteredSolution) -> list[str]:
     """A note where inputs act otherwise than the start values of the nominal model say."""
     fit = study.result(study.polished(base), "improve, disturbance forces")
-    names = [one.channel.name for one in input_factors(fit, study.base.values)]
-    return [f"Nothing was searched for before {' and '.join(names)} is put right."] if names else []
+    names = " and ".join(one.channel.name for one in input_factors(fit, study.base.values))
+    return [say("search", "inputs", names=names)] if names else []
 
 
 def _hiding(end: Ended) -> bool:
@@ -205,18 +198,12 @@ def _hiding(end: Ended) -> bool:
 
 def _other_noise(fit: Fit) -> list[str]:
     """Words where sensors are not as loud as declared."""
-    found = [
-        concern
-        for concern in concerns_of(fit, "noise_level")
-        if not 1.0 / WORTH_TELLING < concern.size < WORTH_TELLING
-    ]
-    if not found:
-        return []
-    told = ", ".join(f"{concern.signal} {concern.size:.2g} times" for concern in found)
-    return [
-        f"The noise is not as declared: {told}. Errors in units of the noise count the declared "
-        "levels; gains and standard errors are of those found. Correct noise_std, or leave it out."
-    ]
+    told = ", ".join(
+        f"{one.signal} {one.size:.2g} times"
+        for one in concerns_of(fit, "noise_level")
+        if not 1.0 / WORTH_TELLING < one.size < WORTH_TELLING
+    )
+    return [say("records", "noise", names=told)] if told else []
 
 
 def _result(
@@ -224,7 +211,7 @@ def _result(
 ) -> Improvement:
     state, study = end.state, end.state.study
     # Fits and the table of errors are of the same estimates, as anybody finds them from the fits.
-    path = [study.polished(fit) for fit in (end.base, *every_step(state)[1:])]
+    path = [study.polished(fit) for fit in every_step(state)]
     fits = [study.result(fit, "improve, disturbance forces") for fit in path]
     records = {"train": study.train, "test": study.validation}
     base_rms, *rms = [{name: study.rms(fit, of) for name, of in records.items()} for fit in path]
@@ -250,19 +237,12 @@ def _result(
         location=location,
         remains=_whole(end, fits[-1], log),
         yardstick=yardstick,
-        proposed=_proposed(end, steps),
+        proposed=proposed_terms(end.proposals, steps, state.replaced),
         notes=tuple(notes),
         log=log,
         last=end.last if steps else None,
         decisions=state.decisions,
     )
-
-
-def _proposed(end: Ended, steps: Sequence[Step]) -> tuple[dict[str, Any], ...]:
-    """The term that was looked for last, where one was added."""
-    if end.proposals is None:
-        return ()
-    return (proposed_term(end.proposals, steps[-1], end.state.replaced),)
 
 
 def _whole(end: Ended, fit: Fit, log: LogCheck | None) -> Remains:

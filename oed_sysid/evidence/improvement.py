@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from itertools import chain
 from typing import Any
 
@@ -19,6 +17,7 @@ from oed_sysid.evidence.locate import Located
 from oed_sysid.evidence.propose import Proposals
 from oed_sysid.evidence.rank import Ranking, hopeful
 from oed_sysid.evidence.remainder import Remains
+from oed_sysid.evidence.sentences import SAYS, say
 from oed_sysid.evidence.study import RISE
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
@@ -35,15 +34,6 @@ from oed_sysid.text.units import shown_unit
 
 # Root mean square errors of every output, ``(n_outputs,)``, on ``train`` and ``test`` records.
 Errors = Mapping[str, np.ndarray]
-# Sentences, by what they are about.
-SAYS: dict[str, dict[str, str]] = tomllib.loads(
-    files(__package__).joinpath("improvement.toml").read_text("utf-8")
-)
-
-
-def _say(about: str, row: str, **facts: Any) -> str:
-    """A sentence of the table."""
-    return SAYS[about][row].format(**facts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +90,7 @@ class Yardstick:
         """Where noise levels are from, if nobody declared them."""
         unknown = ", ".join(output.name for output in self.outputs if output.noise_std is None)
         measure = SAYS["errors"]["measure"]
-        return [measure, _say("errors", "noise", names=unknown)] if unknown else [measure]
+        return [measure, say("errors", "noise", names=unknown)] if unknown else [measure]
 
     def _cell(self, kind: str, errors: Errors, index: int) -> str:
         error = errors[kind][index]
@@ -112,16 +102,22 @@ class Yardstick:
         return f"{value:.3g} ({percent})"
 
 
-def proposed_term(proposals: Proposals, step: Step, replaces: Sequence[str]) -> dict[str, Any]:
-    """The term of the last step, and the known effects whose place it takes, as plain data."""
-    term, parameter = proposals.proposals[0].term, step.effect.parameters[0]
-    return {
+def proposed_terms(
+    proposals: Proposals | None, steps: Sequence[Step], replaces: Sequence[str]
+) -> tuple[dict[str, Any], ...]:
+    """The term of the last step, where one was added, and the effects whose place it takes."""
+    if proposals is None:
+        return ()
+    step, term = steps[-1], proposals.proposals[0].term
+    (parameter,) = step.effect.parameters
+    told = {
         "term": term.text, "name": step.effect.name, "equation": term.equation,
         "expression": term.expression, "parameter": parameter.name, "value": parameter.value,
         "unit": parameter.unit, "gain": step.claim.training,
         "test_gain": None if np.isnan(step.claim.validation) else step.claim.validation,
         "group": list(proposals.group), "replaces": list(replaces),
     }  # fmt: skip
+    return (told,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -421,7 +417,7 @@ class Improvement:
                 errors = _cells(".3g", step.train_error, step.test_error)
                 rows.append((step.added, *_terms(step.claim), *errors))
                 if others := ", ".join(step.group[1:]):
-                    lines.append(_say("story", "alike", name=step.added, others=others))
+                    lines.append(say("story", "alike", name=step.added, others=others))
             tables = (display.Table(headers, rows), *tables)
         else:
             told = "unexplained" if self.verdict == "unexplained" else "nothing_missing"
@@ -429,9 +425,9 @@ class Improvement:
             best = self.ranking.refits[0] if self.ranking.refits else None
             if best is not None and hopeful(best, 0.0) and best.gain < best.needed:
                 hint = {"name": best.name, "gain": best.gain, "needed": best.needed}
-                lines.append(_say("story", "hint", **hint))
+                lines.append(say("story", "hint", **hint))
         if self.rejected:
-            lines.append(_say("story", "refused", names=", ".join(self.rejected)))
+            lines.append(say("story", "refused", names=", ".join(self.rejected)))
         return display.Section("What is missing", lines, tables)
 
     def _asked(self) -> tuple[display.Table, ...]:
@@ -493,12 +489,12 @@ class Improvement:
     def _closing(self) -> list[str]:
         lines = []
         for term in self.proposed:
-            lines.append(_say("story", "term", **term))
+            lines.append(say("story", "term", **term))
             others = [name for name in term["group"] if name != term["term"]]
             if others:
-                lines.append(_say("story", "alike_term", others=", ".join(others[:MOST_DRAWN])))
+                lines.append(say("story", "alike_term", others=", ".join(others[:MOST_DRAWN])))
             if term["replaces"]:
-                lines.append(_say("story", "replaces", names=", ".join(term["replaces"])))
+                lines.append(say("story", "replaces", names=", ".join(term["replaces"])))
         return [*lines, *(f"Note: {note}" for note in self.notes), f"Verdict: {self.conclusion}"]
 
 
@@ -601,8 +597,8 @@ def _judged(
         "agree": ", the validation records agree" * (predicted > 0), "predicted": predicted,
         "error": before, "after": step.test_error,
     }  # fmt: skip
-    helps = _say("believe", "stands" if stands_for else "missing", **facts)
-    said = [_say("doubt", row, **facts) for row, applies in doubts.items() if applies]
+    helps = say("believe", "stands" if stands_for else "missing", **facts)
+    said = [say("doubt", row, **facts) for row, applies in doubts.items() if applies]
     return [] if any(absent.values()) else [helps], said
 
 
@@ -619,7 +615,7 @@ def _left_open(steps: Sequence[Any], ended: Ranking, kind: str) -> list[str]:
         "errors": kind not in (*EXPLAINED, "not known"),
         "errors, not known": kind == "not known",
     }
-    return [_say("doubt", row, **facts) for row, applies in doubts.items() if applies]
+    return [say("doubt", row, **facts) for row, applies in doubts.items() if applies]
 
 
 def _several(names: Sequence[str]) -> str:
@@ -634,8 +630,8 @@ def _manoeuvre(group: Sequence[str], known: Mapping[str, Any], commanded: bool) 
         return []
     members = [name for name in group if name in known]
     needs = "; ".join(sorted({known[name].needs for name in members} - {""}))
-    lines = [_say("next", "apart", names=" from ".join(group[:3]), needs=needs)] if needs else []
-    return lines + [_say("next", "design", names=" ".join(members))] * commanded
+    lines = [say("next", "apart", names=" from ".join(group[:3]), needs=needs)] if needs else []
+    return lines + [say("next", "design", names=" ".join(members))] * commanded
 
 
 def _is_told(row: Mapping[str, Any], parameter: Parameter) -> bool:

@@ -30,6 +30,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
+from oed_sysid.evidence.sentences import say
 from oed_sysid.evidence.traces import LEAST
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.noise_levels import credible_levels, signal_spread
@@ -80,15 +81,12 @@ def prepared(train: Dataset, validation: Dataset | None, *, enough: int = 20_000
     >>> print(found.train.n_samples, found.validation.n_samples)
     600 400
     """
-    notes = list[str]()
-    least = LEAST if train.only_tests else LEAST_SAMPLES  # a test tells as much as many samples
+    ready, tests = Prepared(train, validation), train.only_tests
+    least = LEAST if tests else LEAST_SAMPLES  # a test tells as much as many samples
     if validation is None and len(train) == 1 and train[0].n_samples >= 2.5 * least:
-        parted = _drawn_apart if train.only_tests else _kept_apart
-        train, validation, words = parted(train[0])
-        notes.append(words)
-    ready = Prepared(train, validation, tuple(notes))
+        ready = (_drawn_apart if tests else _kept_apart)(train[0])
     # To leave some tests out would lose what they alone tell.
-    strides = [1] if train.only_tests else _strides(train, validation, enough)
+    strides = [1] if tests else _strides(ready.train, ready.validation, enough)
     return ready if max(strides) == 1 else _thinned(ready, strides)
 
 
@@ -99,40 +97,32 @@ def _thinned(ready: Prepared, strides: Sequence[int]) -> Prepared:
     few = min(strides) == 1
     which = "Quickly sampled records were" if few else f"One sample in {max(strides)} was"
     before = min(part.sample_time for part, _ in pairs)
-    words = (
-        f"{which} searched {gap:.3g} s apart instead of {before:.3g} s, with the mean of the "
-        "inputs between samples. Fit the improved model to all samples for its final numbers."
-    )
+    words = say("records", "thinned", which=which, gap=gap, before=before)
     thinned, count = [coarser(*pair) for pair in pairs], len(ready.train)
     train, rest = Dataset(tuple(thinned[:count])), tuple(thinned[count:])
     validation = Dataset(rest) if rest else ready.validation
     return Prepared(train, validation, (*ready.notes, words), ready.train)
 
 
-def _kept_apart(record: Record) -> tuple[Dataset, Dataset, str]:
+def _kept_apart(record: Record) -> Prepared:
     cut = float(record.times[0] + LEARNT * record.duration)
     rows = int(np.searchsorted(record.times, cut))
     first = record.window(-np.inf, record.times[rows - 1]).rename(f"{record.name}, first part")
     last = record.window(record.times[rows], np.inf).rename(f"{record.name}, last part")
-    words = (
-        f"No validation records were given: of {record.name!r} the last {last.duration:.4g} s, "
-        f"from {last.times[0]:.4g} s on, were kept for validation. A second manoeuvre is a "
-        "better test."
-    )
-    return Dataset((first,)), Dataset((last,)), words
+    lasts = {"duration": last.duration, "begin": last.times[0]}
+    words = say("records", "kept", record=record.name, **lasts)
+    return Prepared(Dataset((first,)), Dataset((last,)), (words,))
 
 
-def _drawn_apart(record: Record) -> tuple[Dataset, Dataset, str]:
+def _drawn_apart(record: Record) -> Prepared:
     """Tests to learn from and to validate on, drawn by lot: their order says nothing."""
     lot = np.random.default_rng(0).permutation(record.n_samples)
     count = round(LEARNT * record.n_samples)
     first = record.tests(np.sort(lot[:count]), f"{record.name}, drawn")
     rest = record.tests(np.sort(lot[count:]), f"{record.name}, the others")
-    words = (
-        f"No validation records were given: of the {record.n_samples} tests of {record.name!r} "
-        f"{rest.n_samples}, drawn by lot, were kept for validation."
-    )
-    return Dataset((first,)), Dataset((rest,)), words
+    counts = {"all": record.n_samples, "some": rest.n_samples}
+    words = say("records", "drawn", record=record.name, **counts)
+    return Prepared(Dataset((first,)), Dataset((rest,)), (words,))
 
 
 def coarser(record: Record, every: int) -> Record:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.evidence.chance import threshold
-from oed_sysid.evidence.claim import Claim, at_bounds
+from oed_sysid.evidence.claim import Claim, at_bounds, joined
 from oed_sysid.evidence.score import SIZES, Score, scores, two_sided
 from oed_sysid.evidence.study import Study, likelier, usual
 from oed_sysid.information.shifts import GROUP_WIDTH
@@ -66,7 +66,7 @@ class Refit:
     @property
     def name(self) -> str:
         """Identifier of the effect, or of all of a set."""
-        return " + ".join(score.effect.name for score in self.scores)
+        return joined(score.effect for score in self.scores)
 
     @property
     def evidence(self) -> float:

@@ -30,6 +30,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oed_sysid.evidence.chance import threshold
+from oed_sysid.evidence.sentences import say
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.disturbances import places
@@ -200,26 +201,21 @@ class Remains:
     @property
     def sentence(self) -> str:
         """What is left, with its size."""
-        listed = "; ".join(force.text for force in self.random)
-        colour = ""
-        if self.sensor_time is not None:
-            colour = f", correlated over about {self.sensor_time:.2g} s at the sensors"
+        listed, time = "; ".join(force.text for force in self.random), self.sensor_time
         checked = self.random and not np.isnan(self.random[0].elsewhere)
         same = ", about the same on the validation records" if checked else ""
-        stands = f" where process noise stands ({listed})" if listed else ""
-        beside = f"; process noise: {listed}" if listed else ""
-        acts = f": {listed}{same}" if listed else ""
-        said = {
-            "log suspect": f"{self.suspect} Nothing is certified before that is put right.",
-            "structure missing": f"{'; '.join((*self.beyond, *self.structured))}.",
-            "not known": f"{'; '.join(self.open_questions)}{beside}.",
-            "disturbance": f"whole runs are as it would leave them{colour}.",
-            "adequate": f"the remaining misfit is noise at this level{colour}.",
-        }[self.kind]
-        begin = {"structure missing": f"{stands}:", "disturbance": f"{acts};"}.get(self.kind, ":")
-        alone = self.size and self.kind not in ("log suspect", "adequate")
-        size = f" On its own the model misses {self.size}." if alone else ""
-        return f"{self.kind}{begin} {said}{size}"
+        return say(
+            "remains",
+            self.kind,
+            suspect=self.suspect,
+            found="; ".join((*self.beyond, *self.structured)),
+            open="; ".join(self.open_questions),
+            stands=f" where process noise stands ({listed})" * bool(listed),
+            beside=f"; process noise: {listed}" * bool(listed),
+            acts=f": {listed}{same}" * bool(listed),
+            colour="" if time is None else f", correlated over about {time:.2g} s at the sensors",
+            size=f" On its own the model misses {self.size}." * bool(self.size),
+        )
 
     @property
     def size(self) -> str:

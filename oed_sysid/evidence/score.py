@@ -34,6 +34,7 @@ import numpy as np
 from oed_sysid.compiled.filtering import FilterPass
 from oed_sysid.evidence.study import Study
 from oed_sysid.information.response import TANGENT
+from oed_sysid.likelihood.estimate import by_name
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.projection import ABSORBED, inverse_of
@@ -229,9 +230,10 @@ def imitated_by(
     return tuple(one.effect.name for one in told if not one.absorbed)
 
 
-def _local_names(effect: Effect) -> tuple[str, ...]:
-    sizes = effect.amplitude_names
-    return tuple(p.name for p in effect.parameters if p.per_record and p.name in sizes)
+def _named(effect: Effect, names: Sequence[str]) -> list[Parameter]:
+    """Parameters of an effect by their names."""
+    known = {parameter.name: parameter for parameter in effect.parameters}
+    return [known[name] for name in names]
 
 
 def _score(
@@ -243,12 +245,12 @@ def _score(
     n_records: int,
 ) -> Score:
     """Score at one shape, from columns as they are and with the unknowns projected out."""
-    names = effect.amplitude_names
+    names, sizes = effect.amplitude_names, _named(effect, effect.amplitude_names)
     size, left = np.linalg.norm(raw, axis=0), np.linalg.norm(projected, axis=0)
     distinct = float(np.min(left / np.where(size > 0, size, np.inf)))
-    local = _local_names(effect)
-    each = len(local) + len(effect.start_names)
-    freedom = len(names) - len(local) + len(effect.shape_names) + n_records * each
+    n_local = sum(one.per_record for one in sizes)
+    each = n_local + len(effect.start_names)
+    freedom = len(names) - n_local + len(effect.shape_names) + n_records * each
     if distinct < ABSORBED:
         nothing, endless = dict.fromkeys(names, 0.0), dict.fromkeys(names, np.inf)
         return Score(effect, 0.0, freedom, nothing, endless, distinct, 0 * projected)
@@ -263,25 +265,13 @@ def _score(
         amplitude = amplitude.reshape(count, -1).mean(axis=1)
         # What a size that all records share would be known to.
         errors = np.sum(errors.reshape(count, -1) ** -2.0, axis=1) ** -0.5
-    sizes = [_parameter(effect, name) for name in names]
     lower, upper = [one.lower for one in sizes], [one.upper for one in sizes]
     # An effect whose sign physics gives is no evidence with the other one.
     if len(amplitude) == 1 and (lower[0] >= 0 > amplitude[0] or upper[0] <= 0 < amplitude[0]):
         statistic, amplitude = 0.0, np.zeros(1)
-    estimate = dict(zip(names, np.clip(amplitude, lower, upper), strict=True))
-    return Score(
-        effect,
-        statistic,
-        freedom,
-        {name: float(value) for name, value in (estimate | shape).items()},
-        dict(zip(names, map(float, errors), strict=True)),
-        distinct,
-        projected,
-    )
-
-
-def _parameter(effect: Effect, name: str) -> Parameter:
-    return next(p for p in effect.parameters if p.name == name)
+    estimate = by_name(names, np.clip(amplitude, lower, upper)) | shape
+    std_errors = by_name(names, errors)
+    return Score(effect, statistic, freedom, estimate, std_errors, distinct, projected)
 
 
 def _variants(
@@ -298,26 +288,27 @@ def _variants(
                 else _secant(fit, effect, shape, rows, size)
             )
             if columns is not None:
-                yield effect, shape, rows.by_record(columns) if _local_names(effect) else columns
+                sizes = _named(effect, effect.amplitude_names)
+                apart = any(one.per_record for one in sizes)
+                yield effect, shape, rows.by_record(columns) if apart else columns
 
 
 def two_sided(effect: Effect) -> bool:
     """Whether amplitudes may have either sign; other effects often have a kink at zero."""
-    return all(_parameter(effect, name).lower < 0 for name in effect.amplitude_names)
+    return all(one.lower < 0 for one in _named(effect, effect.amplitude_names))
 
 
 def _secant(
     fit: FilteredSolution, effect: Effect, shape: dict[str, float], rows: Rows, share: float
 ) -> np.ndarray | None:
     """Change of the innovations per unit of each amplitude, from nothing to a share of its size."""
-    names = effect.amplitude_names
-    groups = [names] if not two_sided(effect) else [(name,) for name in names]
+    typical = _named(effect, effect.amplitude_names)
+    groups = [[one] for one in typical] if two_sided(effect) else [typical]
     problem = fit.problem
     model, levels = problem.model + effect, problem.levels.starting(fit.noise).held()
     columns = []
     for group in groups:
-        typical = [_parameter(effect, name) for name in group]
-        sizes = {p.name: min(share * p.magnitude, p.upper) for p in typical}
+        sizes = {one.name: min(share * one.magnitude, one.upper) for one in group}
         trial = problem.posed(levels, model=model.with_values(fit.values | shape | sizes))
         unknowns = trial.point(fit.initial, fit.local).unknowns
         found = problem.replayed(trial, unknowns, rows.passes)
@@ -335,12 +326,10 @@ def _swings(effect: Effect, parameter: Parameter) -> bool:
 def _trials(effect: Effect, rows: Rows) -> float:
     """Frequencies that the longest record tells apart within the bounds of an effect."""
     longest = max(float(t[-1] - t[0]) for t in rows.times)
-    ranges = [
-        p.upper - p.lower
-        for p in effect.parameters
-        if p.name in effect.shape_names and _swings(effect, p) and np.isfinite(p.upper - p.lower)
-    ]
-    return max(1.0, max(ranges, default=0.0) * longest / (2.0 * np.pi))
+    swinging = (one for one in _named(effect, effect.shape_names) if _swings(effect, one))
+    ranges = (one.upper - one.lower for one in swinging)
+    widest = max(filter(np.isfinite, ranges), default=0.0)
+    return max(1.0, widest * longest / (2.0 * np.pi))
 
 
 def _shapes(effect: Effect, rows: Rows) -> list[dict[str, float]]:
@@ -350,8 +339,7 @@ def _shapes(effect: Effect, rows: Rows) -> list[dict[str, float]]:
     which is coarser than a long record tells them apart.
     """
     axes: list[np.ndarray] = []
-    for position, name in enumerate(effect.shape_names):
-        parameter = _parameter(effect, name)
+    for position, parameter in enumerate(_named(effect, effect.shape_names)):
         low, high = parameter.lower, parameter.upper
         if not (np.isfinite(low) and np.isfinite(high)):
             low, high = sorted((0.5 * parameter.value, 2.0 * parameter.value))
@@ -362,9 +350,7 @@ def _shapes(effect: Effect, rows: Rows) -> list[dict[str, float]]:
             told = _trials(effect, rows)  # a grid that is coarser than that says nothing
             grid = np.append(grid if told < N_SHAPES or not len(found) else grid[:0], found)
         axes.append(grid)
-    return [
-        dict(zip(effect.shape_names, map(float, point), strict=True)) for point in product(*axes)
-    ]
+    return [by_name(effect.shape_names, np.array(point)) for point in product(*axes)]
 
 
 # Frequencies per 2 pi over the longest record.

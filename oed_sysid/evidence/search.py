@@ -18,11 +18,12 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.chance import threshold
-from oed_sysid.evidence.claim import Claim, claim
+from oed_sysid.evidence.claim import Claim, claim, joined
 from oed_sysid.evidence.propose import Proposals, propose
 from oed_sysid.evidence.rank import Ranking, Refit, hopeful, pairs, rank
 from oed_sysid.evidence.remainder import Remains, followed, remains
 from oed_sysid.evidence.score import imitated_by
+from oed_sysid.evidence.sentences import SAYS, say
 from oed_sysid.evidence.study import Study, likelier, usual
 from oed_sysid.evidence.usual import usual_effects
 from oed_sysid.information.shifts import GROUP_WIDTH
@@ -109,11 +110,14 @@ class Standing:
         """What was added besides."""
         return tuple(other for other in self.added if other is not one)
 
+    def at(self, fit: FilteredSolution) -> Standing:
+        """The same at another fit."""
+        return replace(self, fit=fit, path=(*self.path, fit))
+
     def dropping(self, one: Added, fit: FilteredSolution) -> Standing:
         """The same without one effect, which does not come back."""
         gone = (*self.dropped, one.effect.name)
-        path = (*self.path, fit)
-        return replace(self, added=self.others(one), fit=fit, path=path, dropped=gone)
+        return replace(self.at(fit), added=self.others(one), dropped=gone)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,12 +171,8 @@ class Search:
             full = replace(study, train=self.all_samples, validation=None)
             asking = partial(eliminated, state, full, state.fit.noise)
             thinned, state = state, self.keep.once("all samples", asking)
-            self.notes.extend(
-                f"{one.effect.name} was seen in the thinned records and is not in all samples: it "
-                "is no claim."
-                for one in thinned.added
-                if one not in state.added
-            )
+            gone = [one.effect.name for one in thinned.added if one not in state.added]
+            self.notes.extend(say("search", "thinned", name=name) for name in gone)
         return Ended(state, first, last, self._left(state))
 
     def beyond(self, end: Ended) -> Ended:
@@ -213,10 +213,7 @@ class Search:
         if not found:
             return end
         more = len(begun.study.candidates) - len(named)
-        self.notes.append(
-            "No candidate that was named explains what is left. Found among the "
-            f"{more} usual effects that were not named: {', '.join(found)}."
-        )
+        self.notes.append(say("search", "usual", count=more, names=", ".join(found)))
         return replace(end, state=state, last=last or end.last, left=self._left(state))
 
     def _term(self, end: Ended) -> Ended:
@@ -266,12 +263,9 @@ class Search:
         decided = claim(found, present, fit, calm.effects, needed, spared)
         state = replace(calm, decisions=(*end.state.decisions, decided))
         if decided.stands:
-            self.notes.append(
-                "Disturbance forces had grown over what is missing: it was searched for without "
-                "them, and is likelier with them, too."
-            )
+            self.notes.append(SAYS["search"]["likelier"])
             fit = found.kept(fit, found.resolved(fit))
-            state = asked_again(replace(state, study=found, fit=fit, path=(*calm.path, fit)))
+            state = asked_again(replace(state.at(fit), study=found))
             return self.beyond(Ended(state, first, last, self._left(state)))
         refused = replace(end, state=replace(end.state, decisions=state.decisions))
         records = study.train if study.validation is None else study.validation
@@ -289,12 +283,9 @@ class Search:
         if not (state.added and better(state, 1.0 if fewer else TWOFOLD)):
             return refused
         fit = study.kept(state.fit, study.resolved(state.fit))
-        state = replace(state, fit=fit, path=(*state.path, fit))
+        state = state.at(fit)
         there = study.own_error(fit, records)
-        self.notes.append(
-            "Disturbance forces had grown over what is missing: whole runs of what was found "
-            f"without them are {here / there:.2g} times better."
-        )
+        self.notes.append(say("search", "better", times=here / there))
         return self.beyond(Ended(state, first, last, self._left(state)))
 
     def stage(self, label: str, work: Callable[[], Done]) -> Done | None:
@@ -302,7 +293,7 @@ class Search:
         try:
             return self.keep.once(label, work)
         except (OedSysidError, np.linalg.LinAlgError) as error:
-            self.notes.append(f"One stage could not be done: {error}")
+            self.notes.append(say("search", "failed", error=error))
             return None
 
     def ended(self, state: Standing) -> tuple[Standing, Ranking, Ranking | None]:
@@ -311,7 +302,7 @@ class Search:
         try:
             seen.extend(self.rounds(state))
         except OedSysidError as error:
-            self.notes.append(f"The search ended early: {error}")
+            self.notes.append(say("search", "early", error=error))
         if not seen:
             return state, rank(state.study, state.fit, state.left, n_refits=0), None
         first, (end, last) = seen[0][1], seen[-1]
@@ -536,8 +527,7 @@ def with_refit(
     before = [
         replace(one, group=tuple(n for n in one.group if n not in gone)) for one in state.added
     ]
-    path = (*state.path, fit)
-    return replace(state, added=(*before, *added), fit=fit, path=path)
+    return replace(state.at(fit), added=(*before, *added))
 
 
 def not_astray(study: Study, fit: FilteredSolution) -> FilteredSolution:
@@ -704,8 +694,8 @@ def with_term(
     *others, term = option.added
     decided = claim(option.study, state.fit, option.fit, [term.effect], needed, spared)
     if gone:
-        names = " + ".join(one.effect.name for one in gone)
-        decided = replace(decided, name=f"{decided.name} in the place of {names}")
+        places = joined(one.effect for one in gone)
+        decided = replace(decided, name=f"{decided.name} in the place of {places}")
     decisions = (*state.decisions, decided)
     if not decided.stands:
         return replace(state, decisions=decisions), None, tied

@@ -182,25 +182,24 @@ class Study:
         # Two in three passes are of the nominal model, at a third to two thirds of the price.
         narrow, kernel = (_kernel(model, one, setting) for one in ((), effects))
         setting = replace(setting, kernel=narrow)
-        starts, test = _from_white_noise(setting, white)
+        best, unit = _disturbed(setting, white)
+        if best is None:
+            raise SimulationError(
+                f"Model {model.name!r} diverges on the training records from every start that was "
+                "tried. Check signs and units of its values, or bound its parameters."
+            )
         study = cls(
             base=model,
             candidates=effects,
             train=train,
             validation=validation,
             setting=setting,
-            unit=test.unit,
+            unit=unit,
             narrow=narrow,
             kernel=kernel,
             estimated=~np.isfinite(levels),
             excluded=white.excluded,
         )
-        best = fit_disturbed(setting, starts, test, polish=0)
-        if best.finite is None:
-            raise SimulationError(
-                f"Model {model.name!r} diverges on the training records from every start that was "
-                "tried. Check signs and units of its values, or bound its parameters."
-            )
         # What long steps leave would be explained by effects.
         best = study.resolved(best)
         step = best.problem.model.step
@@ -222,14 +221,13 @@ class Study:
         noisy = [place.channel for place in self.setting.inputs if place.channel in linear]
         if not noisy:
             return None
-        train, validation = (
-            None
-            if records is None
-            else Dataset(tuple(one.with_inputs(smoothed_inputs(one, noisy)) for one in records))
-            for records in (self.train, self.validation)
-        )
-        assert train is not None
-        return replace(self, train=train, validation=validation)
+
+        def calmed(records: Dataset) -> Dataset:
+            return Dataset(tuple(r.with_inputs(smoothed_inputs(r, noisy)) for r in records))
+
+        validation = self.validation and calmed(self.validation)
+        setting = replace(self.setting, logged=())
+        return replace(self, train=calmed(self.train), validation=validation, setting=setting)
 
     # -- fits ------------------------------------------------------------------------
 
@@ -338,10 +336,9 @@ class Study:
         if at_sea:
             setting = replace(setting, any_sea=True, estimated=self.estimated)
         try:
-            starts, test = _from_white_noise(setting, _white_fit((first, *more), self.train))
+            end, _ = _disturbed(setting, _white_fit((first, *more), self.train))
         except SimulationError:
             return None
-        end = fit_disturbed(setting, starts, test, polish=0).finite
         return end and (self.estimate(effects, end.values, end) if at_sea else end)
 
     def settle(self, found: FilteredSolution) -> FilteredSolution:
@@ -390,11 +387,9 @@ class Study:
 
         Up to a constant that all models share; not at all where the model cannot be run.
         """
-        layout, limits = found.problem.layout, found.problem.limits
-        shared = np.arange(len(layout.shared))
-        matrix = found.matrix + np.diag(limits.prior_weight)
-        scale = limits.scale[shared]
-        known = eliminate(matrix, shared, np.arange(len(shared), layout.n_unknowns))
+        shared = np.arange(len(found.problem.layout.shared))
+        scale = found.problem.limits.scale[shared]
+        known = information(found, shared)
         # Rounding, where a filter nearly diverges, would leave directions known less than nothing.
         known = inverse_of(inverse_of(known)) + np.diag(RANK_TOLERANCE**2 / scale**2)
         levels = self.levels(self.loosened(found.noise), validation)
@@ -406,11 +401,8 @@ class Study:
         solution = alone and _solved(problem, alone, 20)
         if not solution:
             return Prediction(np.inf, known, known)
-        total = solution.matrix + np.diag(problem.limits.prior_weight)
-        both = eliminate(total, shared, np.arange(len(shared), problem.layout.n_unknowns))
-        # In typical sizes.
-        known, both = (matrix * scale[:, None] * scale for matrix in (known, both))
-        return Prediction(solution.objective, known, both)
+        sizes = scale[:, None] * scale
+        return Prediction(solution.objective, known * sizes, information(solution, shared) * sizes)
 
     def on_records(
         self, found: FilteredSolution, dataset: Dataset, *, same_forces: bool = False
@@ -506,6 +498,12 @@ def _solved(
     ).finite
 
 
+def information(fit: FilteredSolution, at: np.ndarray) -> np.ndarray:
+    """What a fit and its priors tell of some unknowns, all others estimated too."""
+    matrix = fit.matrix + np.diag(fit.problem.limits.prior_weight)
+    return eliminate(matrix, at, np.delete(np.arange(len(matrix)), at))
+
+
 def allowed_rise(fit: FilteredSolution) -> float:
     """Ratio of whole-run errors that is no rise."""
     return RISE_DISTURBED if fit.noise.has_forces else RISE
@@ -586,20 +584,23 @@ def _white_fit(models: Sequence[Model], records: Dataset) -> Fit:
     return min((PLAIN.begun(one, records) for one in models), key=lambda one: one.cost)
 
 
-def _from_white_noise(setting: Setting, fit: Fit) -> tuple[list[Start], ScoreTest]:
-    """Where a model's estimation begins, and levels to begin with, of its fit to white noise."""
+def _disturbed(setting: Setting, white: Fit) -> tuple[FilteredSolution | None, NoiseModel]:
+    """The fit with disturbances begun at one to white noise, and natural sizes of all levels.
+
+    None where the model diverges along the records.
+    """
     shooting = Shooting(setting.model, setting.dataset, setting.white)
     starts = [Start.at(shooting, shooting.start_unknowns())]
-    if np.isfinite(fit.cost):
-        starts.append(Start(fit.model.values, fit.initial_states, fit.local_values))
+    if np.isfinite(white.cost):
+        starts.append(Start(white.model.values, white.initial_states, white.local_values))
     test = _best_test(setting, starts)
     level = np.where(np.isin(test.noise.places, setting.known), 0.0, test.noise.force)
     test = replace(test, noise=replace(test.noise, force=level))
     if len(starts) > 1:
         # What no force can do (a rate that is off against its angle) only louder sensors can be.
-        white = np.fmax(residual_levels(fit.residuals), test.noise.white)
-        starts.append(replace(starts[-1], noise=replace(test.quiet, white=white)))
-    return starts, test
+        loud = np.fmax(residual_levels(white.residuals), test.noise.white)
+        starts.append(replace(starts[-1], noise=replace(test.quiet, white=loud)))
+    return fit_disturbed(setting, starts, test, polish=0).finite, test.unit
 
 
 def usual(effects: Sequence[Effect]) -> dict[str, float]:

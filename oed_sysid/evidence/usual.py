@@ -22,6 +22,7 @@ from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError, ModelError, OedSysidError
 from oed_sysid.evidence.check import LogCheck
 from oed_sysid.evidence.propose import HORIZONTAL, Factors, Term, cyclic, product_text
+from oed_sysid.evidence.sentences import say
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.between_records import FEWEST
@@ -32,14 +33,7 @@ from oed_sysid.likelihood.start_guess import (
     measured_states,
     slope,
 )
-from oed_sysid.physics import (
-    Effect,
-    Environment,
-    Force,
-    amplitude,
-    forces,
-    signals,
-)
+from oed_sysid.physics import Effect, Environment, Force, amplitude, forces, signals
 from oed_sysid.physics.candidates import listed
 from oed_sysid.physics.frames import rotation
 from oed_sysid.physics.model import Model
@@ -604,14 +598,10 @@ def settled(
             "There is no candidate effect, and none can be made: the signals of these records do "
             "not move. Give records of a manoeuvre, or effects of your own."
         )
-    late = _late(dataset, log)
-    notes = [
-        f"No candidates were named: {len(usual)} usual ones were made from the model's signals and "
-        "the records' sizes. Where you know the vehicle's own physics, name it: that tells more."
-    ]
+    late, notes = _late(dataset, log), [say("candidates", "made", count=len(usual))]
     if late:
         names = ", ".join(effect.name for effect in late)
-        notes.append(f"The check of the logs finds signals that come late: {names} added to them.")
+        notes.append(say("candidates", "late", names=names))
     return (*usual, *late), notes
 
 
