@@ -371,8 +371,7 @@ class FrequencyComparison:
         told = [band for band in bands if band.verdict != UNTOLD]
         if not told:
             return f"{head}the records tell nothing at any frequency."
-        spans = [band for band in told if band.verdict == HOLDS]
-        missed = [band for band in told if band.verdict == FAILS]
+        spans, missed = ([band for band in told if band.verdict == one] for one in (HOLDS, FAILS))
         if min(len(spans), len(missed)) < 2:
             words = f"holds over {_spans(spans)}" if spans else "holds nowhere"
             more = f", fails over {_spans(missed)}" if missed else ""

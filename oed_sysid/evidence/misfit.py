@@ -247,27 +247,15 @@ class ByMotion:
         self, output: Output, rows: np.ndarray, inputs: np.ndarray, signals: tuple[Input, ...]
     ) -> None:
         self.output, self.share = output, 0.0
-        self.error = float(np.sqrt(np.mean(rows**2))) if len(rows) else 0.0
         self.signal: Input | None = None
+        self.error = float(np.sqrt(np.mean(rows**2))) if len(rows) else 0.0
         self.values = self.means = np.empty(0)
-        best = (np.inf, -1)
-        for place, column in enumerate(inputs.T):
-            labels = _classes(column)
-            count = len(np.unique(labels))
-            if count < 2 or len(rows) <= count:
-                continue
-            share = _share(rows, labels)
-            # Analysis of variance: F of the class means, none of which was fitted.
-            ratio = (len(rows) - count) / count * share / max(1.0 - share, 1e-12)
-            # Where chance is beyond the digits of a number, the larger share is the clearer one.
-            chance = float(fdtrc(count, len(rows) - count, ratio)) - 1e-12 * share
-            best = min(best, (chance, place))
-        if best[0] * len(signals) < FALSE_CLAIMS:
-            column = inputs[:, best[1]]
-            labels = _classes(column)
-            counts = np.bincount(labels)
-            self.values, self.means = (np.bincount(labels, of) / counts for of in (column, rows))
-            self.signal, self.share = signals[best[1]], _share(rows, labels)
+        found = [_explained(rows, column) for column in inputs.T]
+        chances = [chance for chance, *_ in found]
+        if min(chances, default=np.inf) * len(signals) < FALSE_CLAIMS:
+            best = int(np.argmin(chances))
+            self.signal = signals[best]
+            _, self.share, self.values, self.means = found[best]
 
     @property
     def text(self) -> str:
@@ -319,10 +307,22 @@ def in_words(fit: FilteredSolution) -> str:
     return begin + "; ".join(one.text for one in found) + "."
 
 
-def _share(rows: np.ndarray, labels: np.ndarray) -> float:
-    """Share of the squares that means of classes explain."""
-    sums, counts = np.bincount(labels, rows), np.bincount(labels)
-    return float(np.sum(sums**2 / counts) / max(rows @ rows, 1e-300))
+def _explained(rows: np.ndarray, column: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray]:
+    """What means of classes of a signal explain of rows.
+
+    The chance of as much, the share of the squares, and means of signal and rows in each class.
+    """
+    labels = _classes(column)
+    counts = np.bincount(labels)
+    values, means = (np.bincount(labels, of) / counts for of in (column, rows))
+    count, freedom = len(counts), len(rows) - len(counts)
+    if count < 2 or freedom <= 0:
+        return np.inf, 0.0, values, means
+    share = float(np.sum(counts * means**2) / max(rows @ rows, 1e-300))
+    # Analysis of variance: F of the class means, none of which was fitted.
+    ratio = freedom / count * share / max(1.0 - share, 1e-12)
+    # Where chance is beyond the digits of a number, the larger share is the clearer one.
+    return float(fdtrc(count, freedom, ratio)) - 1e-12 * share, share, values, means
 
 
 def _classes(column: np.ndarray) -> np.ndarray:

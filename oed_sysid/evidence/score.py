@@ -135,7 +135,7 @@ class Rows:
         self.known = np.concatenate(known)
         self.extra = dict(zip(smooth, np.concatenate(extra).T, strict=True))
 
-    def basis(self, apart: Sequence[int] = ()) -> np.ndarray:
+    def basis(self, apart: Sequence[int] | np.ndarray = ()) -> np.ndarray:
         """Orthonormal basis of what the unknowns explain, ``(n_rows, n)``, some left apart."""
         # Columns that move nothing cannot be scaled, and explain nothing.
         size = np.linalg.norm(self.known, axis=0)
@@ -200,9 +200,8 @@ def scores(
     names = (*problem.layout.free_names, *smooth)
     passes = problem.passes(unknowns, rows=True, gains=True, names=names)
     rows = Rows(problem, unknowns, passes, smooth)
-    shared = problem.layout.shared_names
     # Frisch-Waugh: what is left of residual and signature once the unknowns are refitted.
-    basis = rows.basis([i for i, name in enumerate(shared) if name in apart])
+    basis = rows.basis(np.flatnonzero(np.isin(problem.layout.shared_names, [*apart])))
 
     def projected(columns: np.ndarray) -> np.ndarray:
         return columns - basis @ (basis.T @ columns)

@@ -683,19 +683,18 @@ def with_term(
     if not options:
         return state, None, tied
 
-    def cost(option: Standing) -> float:
-        return option.fit.objective + sum(map(state.needed, option.effects))
+    def cost(pair: tuple[Standing, Proposals]) -> float:
+        return pair[0].fit.objective + sum(map(state.needed, pair[0].effects))
 
-    option, proposals = min(options, key=lambda pair: cost(pair[0]))
-    gone = [one for one in state.added if one.effect.name not in option.names]
-    spared = sum(state.needed(one.effect) for one in gone)
+    option, proposals = min(options, key=cost)
+    gone = [effect for effect in state.effects if effect.name not in option.names]
+    spared = sum(map(state.needed, gone))
     # Of what explains alike, physics that has a name leads a term.
     needed = proposals.needed + (TOLD_APART if gone else 0.0)
     *others, term = option.added
     decided = claim(option.study, state.fit, option.fit, [term.effect], needed, spared)
     if gone:
-        places = joined(one.effect for one in gone)
-        decided = replace(decided, name=f"{decided.name} in the place of {places}")
+        decided = replace(decided, name=f"{decided.name} in the place of {joined(gone)}")
     decisions = (*state.decisions, decided)
     if not decided.stands:
         return replace(state, decisions=decisions), None, tied
@@ -704,7 +703,7 @@ def with_term(
         added=(*others, replace(term, claim=decided)),
         fit=option.study.kept(option.fit, option.study.settle(option.fit)),
         decisions=decisions,
-        replaced=tuple(one.effect.name for one in gone),
+        replaced=tuple(effect.name for effect in gone),
     )
     return found, proposals, ()
 

@@ -318,28 +318,27 @@ def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace
     trace, names, size = series[largest.record], largest.names, largest.amount
     if kind == "dead":
         size = float(trace.values[signal][largest.rows[0]])
-    row = int(largest.rows[largest.sizes.index(largest.amount)]) if largest.sizes else 0
+    jumps = bool(largest.sizes)
+    first = int(largest.rows[largest.sizes.index(largest.amount)]) if jumps else 0
     rows = {fault.record: tuple(fault.rows.tolist()) for fault in here}
     n = sum(map(len, rows.values()))
     factor, shown = shown_unit(trace.units[names[0]])
     words = {
         "commas": signal, "samples": counted(n, "sample"), "record": largest.record,
-        "at": float(trace.times[row]), "value": f"{factor * size:.4g} {shown}", "size": size,
+        "at": float(trace.times[first]), "value": f"{factor * size:.4g} {shown}", "size": size,
         "jump": f"{factor * size:+.3g} {shown}", "its": "its" if n == 1 else "their",
         "more": f" (and {n - 1} more {'jump' if n == 2 else 'jumps'})" * (n > 1),
     }  # fmt: skip
-    facts: dict[str, Any] = {"size": size, "unit": ""}
-    sizes = {fault.record: fault.sizes for fault in here} if largest.sizes else {}
-    if largest.sizes:
-        facts["unit"] = trace.units[names[0]]
-    elif is_a(kind, "counted"):
+    facts: dict[str, Any] = {"size": size, "unit": trace.units[names[0]] if jumps else ""}
+    if is_a(kind, "counted"):
         facts = {"size": float(n), "unit": "samples"}
-    done = "step" if largest.sizes else "blank"
-    logged = is_a(kind, "as logged")
-    correction = None if logged else Correction(done, names, rows=rows, sizes=sizes)
-    of_step = {"step": "jump", "caught up": "caught up", "moved": "moved"}
-    told = ("step", of_step[kind]) if kind in of_step else (kind, kind)
-    return said(told[0], names, tuple(rows), words, row=told[1], correction=correction, **facts)
+    sizes = {fault.record: fault.sizes for fault in here} if jumps else {}
+    correction = Correction("step" if jumps else "blank", names, rows=rows, sizes=sizes)
+    return said(
+        "step" if jumps else kind, names, tuple(rows), words,
+        row="jump" if kind == "step" else kind,
+        correction=None if is_a(kind, "as logged") else correction, **facts,
+    )  # fmt: skip
 
 
 def _noise(dataset: Dataset, traces: Sequence[Trace], made: set[str]) -> Iterable[Finding]:
