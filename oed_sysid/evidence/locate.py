@@ -24,6 +24,7 @@ from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.misfit import in_words
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.evidence.residual_forces import ResidualForces, Series, let_in
+from oed_sysid.evidence.sentences import SAYS, say
 from oed_sysid.evidence.traces import LEAST
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.disturbances import Place, places
@@ -122,19 +123,14 @@ class Located:
         if self.by_motion:
             return self.by_motion
         if self.best is None:
-            return (
-                "No place stands out: noise of the sensors, as strong as it has to be, explains "
-                "what is left as well as a disturbance at any one place would."
-            )
+            return SAYS["location"]["nowhere"]
         words = {p.name: WORDS[p.stage].format(signal=p.signal) for p in self.places}
-        text = f"What the sensors alone do not explain enters most likely {words[self.best]}"
-        for name in self.group:
-            text += f", or as likely {words[name]}" * (name != self.best)
-        later = next((name for name in self.gains if name not in self.group), None)
-        lag = self.gains[self.best] - self.gains[later] if later else 0.0
-        if lag > 0:
-            text += f" (next: {later}, likelihood-ratio statistic {lag:.0f} lower)"
-        return text + "."
+        others = (words[name] for name in self.group if name != self.best)
+        where = ", or as likely ".join((words[self.best], *others))
+        later = next((name for name in self.gains if name not in self.group), self.best)
+        behind = self.gains[self.best] - self.gains[later]
+        more = say("location", "next", name=later, behind=behind) if behind > 0 else ""
+        return say("location", "here", where=where, next=more)
 
     def document(self, train: Dataset | None = None) -> Report:
         """Return the finding; with the training records, residual forces against their signals."""
@@ -152,13 +148,7 @@ class Located:
         tables = [Table(headers, rows)] if rows else []
         words = [self.verdict]
         if self.best is not None:
-            words += [
-                "The smoothed residual force is the part of the missing force that the free "
-                "parameters could not absorb, not the missing force itself: compare it with the "
-                "signature of a candidate, which has been through the same projection. Statistics "
-                "here are over noise of the sensors alone; those of candidates are over process "
-                "noise, which has taken most of it."
-            ]
+            words.append(SAYS["location"]["residual"])
         title = "Where the nominal model fails"
         drawn = [] if self.by_motion else self._figures(train)
         part = Section(title, ["", *words] if rows else words, tables, drawn)

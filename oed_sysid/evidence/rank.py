@@ -18,6 +18,7 @@ import numpy as np
 from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.claim import Claim, at_bounds, joined
 from oed_sysid.evidence.score import SIZES, Score, scores, two_sided
+from oed_sysid.evidence.sentences import say
 from oed_sysid.evidence.study import Study, likelier, usual
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.fit import ALIKE, MOST_DRAWN
@@ -175,21 +176,15 @@ class Ranking:
             size=(8.4, 5.2),
         )  # fmt: skip
         imitated, seen = self.imitated(), self.undetectable()
-        said = {
-            "These records would not show the typical size of: ": sorted({*seen} - {*imitated}),
-            "Parameters that are free already do the same in these records as: ": imitated,
-        }
-        lines = (["", f"{text}{', '.join(names)}"] for text, names in said.items() if names)
-        words = [*chain.from_iterable(lines)] if hidden else []
+        untold = {"hidden": sorted({*seen} - {*imitated}), "imitated": imitated}
+        told = (["", say("ranking", row, names=", ".join(of))] for row, of in untold.items() if of)
+        words = [*chain.from_iterable(told)] if hidden else []
         parts = [Section("Candidates", words, (self._table(),), (drawing,))]
         if seen:
             units = {p.name: p.unit for score in self.scores for p in score.effect.parameters}
             sizes = [(name, _visible_from(limits, units)) for name, limits in seen.items()]
             table = Table(("candidate", "would be seen from"), sizes, words=(1,))
-            says = (
-                f"{len(seen)} of {len(self.scores)} candidates would not be seen in these "
-                "records at their typical size. That they were not found says nothing about them."
-            )
+            says = say("ranking", "invisible", count=len(seen), all=len(self.scores))
             parts.append(Section("Invisible at typical size", (says,), (table,), only="page"))
         return Report("Candidates", sections=parts)
 
