@@ -420,12 +420,11 @@ class Improvement:
                     lines.append(say("story", "alike", name=step.added, others=others))
             tables = (display.Table(headers, rows), *tables)
         else:
-            told = "unexplained" if self.verdict == "unexplained" else "nothing_missing"
-            lines.append(SAYS["story"][told])
+            lines.append(SAYS["story"][self.verdict])
             best = self.ranking.refits[0] if self.ranking.refits else None
             if best is not None and hopeful(best, 0.0) and best.gain < best.needed:
-                hint = {"name": best.name, "gain": best.gain, "needed": best.needed}
-                lines.append(say("story", "hint", **hint))
+                gains = {"gain": best.gain, "needed": best.needed}
+                lines.append(say("story", "hint", name=best.name, **gains))
         if self.rejected:
             lines.append(say("story", "refused", names=", ".join(self.rejected)))
         return display.Section("What is missing", lines, tables)

@@ -171,10 +171,9 @@ class Remains:
     @property
     def beyond(self) -> tuple[str, ...]:
         """What in whole runs neither sensors nor process noise could have left, in words."""
-        found = list[str]()
-        for records, runs in (("training", self.training), ("validation", self.validation)):
-            found += [] if runs is None else [f"{one} ({records})" for one in runs.objections]
-        return tuple(found)
+        both = {"training": self.training, "validation": self.validation}
+        asked = {records: runs.objections for records, runs in both.items() if runs is not None}
+        return tuple(f"{one} ({records})" for records, found in asked.items() for one in found)
 
     @property
     def open_questions(self) -> tuple[str, ...]:

@@ -226,7 +226,7 @@ class Study:
             return Dataset(tuple(r.with_inputs(smoothed_inputs(r, noisy)) for r in records))
 
         validation = self.validation and calmed(self.validation)
-        setting = replace(self.setting, logged=())
+        setting = replace(self.setting, logged=())  # nothing of them is left to smooth
         return replace(self, train=calmed(self.train), validation=validation, setting=setting)
 
     # -- fits ------------------------------------------------------------------------
@@ -401,7 +401,7 @@ class Study:
         solution = alone and _solved(problem, alone, 20)
         if not solution:
             return Prediction(np.inf, known, known)
-        sizes = scale[:, None] * scale
+        sizes = scale[:, None] * scale  # in typical sizes
         return Prediction(solution.objective, known * sizes, information(solution, shared) * sizes)
 
     def on_records(
