@@ -20,9 +20,9 @@ def _asked() -> Iterator[tuple[str, str, set[str | None]]]:
     for path in sorted(ROOM.glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "say":
-                texts = [getattr(one, "value", None) for one in node.args]
-                if all(isinstance(one, str) for one in texts):
-                    yield texts[0], texts[1], {one.arg for one in node.keywords}
+                match node.args:
+                    case [ast.Constant(value=str(about)), ast.Constant(value=str(row))]:
+                        yield about, row, {one.arg for one in node.keywords}
 
 
 @pytest.mark.parametrize(("about", "row", "given"), [*_asked()])
