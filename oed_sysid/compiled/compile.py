@@ -54,10 +54,8 @@ _FLAGS = (
 def _compiler() -> str | None:
     if os.environ.get("OED_SYSID_COMPILER") == "none":
         return None
-    for name in (os.environ.get("OED_SYSID_COMPILER"), os.environ.get("CC"), "gcc", "clang", "cc"):
-        if name and shutil.which(name):
-            return name
-    return None
+    known = (os.environ.get("OED_SYSID_COMPILER"), os.environ.get("CC"), "gcc", "clang", "cc")
+    return next((name for name in known if name and shutil.which(name)), None)
 
 
 # What the code of a model is generated from.
@@ -158,11 +156,12 @@ def load_source(
 
 
 def call(function: Callable[..., int], *arguments: Any) -> int:
-    """Call compiled code: arrays by their address, floats as doubles, None as NULL."""
+    """Call compiled code: arrays by their address, floats as doubles; None and empty are NULL."""
     passed: list[Any] = []
     for value in arguments:
         if isinstance(value, np.ndarray):
-            passed.append(ctypes.c_void_p(value.__array_interface__["data"][0]))
+            address = value.__array_interface__["data"][0] if value.size else None
+            passed.append(ctypes.c_void_p(address))
         else:
             passed.append(ctypes.c_double(value) if isinstance(value, float) else value)
     return function(*passed)
@@ -287,7 +286,7 @@ def source(graph: Graph) -> str:
         "N_OWN": graph.n_own,
         "DIVERGED": DIVERGED,
         "ANY_LINEAR_INPUT": int(any(linear)),
-        "LINEAR_INPUTS": "{" + ", ".join(str(int(flag)) for flag in linear or (0,)) + "}",
+        "LINEAR_INPUTS": _braces(str(int(flag)) for flag in linear or (0,)),
     }
     # Workspace of the larger of the plain and the differentiated function.
     plain = (graph.actuate, graph.rates, graph.observe, start)
@@ -297,20 +296,15 @@ def source(graph: Graph) -> str:
         sizes[f"IW_{label}"] = max(map(ca.Function.sz_iw, pair))
     begin = start.sparsity_out(1)
     sizes |= {"NNZ_START": begin.nnz(), "START_PLACES": _places(begin)}
-    updates = (
-        _updates(
-            actuate, {"sd": {"dda": "sa", "ddp": ""}, "sa_next": {"daa": "sa", "dap": ""}}, sizes
-        )
-        | _updates(rates, {"sk": {"jxx": "s", "jxd": "sd", "jxp": ""}}, sizes)
-        | _updates(
-            observe,
-            {
-                "sy": {"jyx": "s", "jyd": "sd", "jys": "ss", "jyp": ""},
-                "snext": {"jsx": "s", "jsd": "sd", "jss": "ss", "jsp": ""},
-            },
-            sizes,
-        )
-    )
+    acting = {"sd": {"dda": "sa", "ddp": ""}, "sa_next": {"daa": "sa", "dap": ""}}
+    moving = {"sk": {"jxx": "s", "jxd": "sd", "jxp": ""}}
+    sensing = {
+        "sy": {"jyx": "s", "jyd": "sd", "jys": "ss", "jyp": ""},
+        "snext": {"jsx": "s", "jsd": "sd", "jss": "ss", "jsp": ""},
+    }
+    updates = dict[str, str]()
+    for function, targets in ((actuate, acting), (rates, moving), (observe, sensing)):
+        updates |= _updates(function, targets, sizes)
     if model.integrator == "implicit":
         updates["FILL_JXX"] = _fill(rates.sparsity_out(1))
         updates["ROWS_SK_BESIDE"] = _products(

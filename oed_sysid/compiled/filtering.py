@@ -988,9 +988,9 @@ class FilterKernel(Kernel):
             len(chosen), n_active, n_active + len(chosen), columns, x0, n_random, len(random),
             positions, acting, white, len(noise.coloured), noise.coloured, n_extra, stationary,
             steps.which, memory, n_levels, d_white, d_stationary, len(over.moving),
-            over.moving, d_memory, along.measured, along.beyond,
-            found.gram, level, found.innovations, found.variances, found.rows if rows else None,
-            found.path, found.gains if gains else None, found.moves if moves else None, total, work,
+            over.moving, d_memory, along.measured, along.beyond, found.gram, level,
+            found.innovations, found.variances, found.rows, found.path, found.gains, found.moves,
+            total, work,
         )  # fmt: skip
         return done(failed)
 

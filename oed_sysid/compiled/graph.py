@@ -125,14 +125,10 @@ class Graph:
         x, memory, sensor = self._split(z)
         # Held inputs are one and the same over a step; linear ones are asked at its start, middle,
         # end.
-        if any(self.linear_inputs):
-            middle = (start + end) / 2
-            first, _ = self.actuate(memory, start, p, t, h)
-            centre, memory_next = self.actuate(memory, middle, p, t, h)
-            last, _ = self.actuate(memory, end, p, t, h)
-        else:
-            first, memory_next = self.actuate(memory, start, p, t, h)
-            centre = last = first
+        linear = any(self.linear_inputs)
+        asked = (start, (start + end) / 2, end) if linear else (start, start, start)
+        acting = (self.actuate(memory, inputs, p, t, h) for inputs in asked)
+        (first, _), (centre, memory_next), (last, _) = acting
         k1 = self.rates(x, first, p, t)
         k2 = self.rates(x + h / 2 * k1, centre, p, t + h / 2)
         k3 = self.rates(x + h / 2 * k2, centre, p, t + h / 2)
@@ -382,7 +378,7 @@ def _motion(model: Model, speeds: Scope, scope: Scope) -> tuple[ca.SX, ca.SX, Sc
         rates[name] = to_casadi(text, scope, tables) + forces.get(name, ca.SX(0))
     # x' - f = 0: the form that is linear in masses and forces, which regressions use.
     balance = {name: speeds[name] - rates[name] for name in rates}
-    accelerations, momentum = _momentum(model, scope, forces, tables, speeds)
+    accelerations, momentum = _momentum(model, scope, forces, speeds)
     rates |= accelerations
     balance |= momentum
     for key in (*model.axes, *model.kinematics):
@@ -426,13 +422,7 @@ def _forces(model: Model, scope: Scope, rates: Scope) -> tuple[Scope, Scope]:
     return total, single
 
 
-def _momentum(
-    model: Model,
-    scope: Scope,
-    forces: Mapping[str, ca.SX],
-    tables: Mapping,
-    speeds: Mapping[str, ca.SX],
-) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
+def _momentum(model: Model, scope: Scope, forces: Scope, speeds: Scope) -> tuple[Scope, Scope]:
     """Solve the mass matrix for the accelerations of the axes.
 
     Also returned are the equations before that, inertia times ``speeds`` minus
@@ -448,7 +438,7 @@ def _momentum(
         entries += effect.terms.items()
     for (axis, velocity), text in entries:
         row, column = axes.index(axis), velocities.index(velocity)
-        mass[row, column] += to_casadi(text, scope, tables)
+        mass[row, column] += to_casadi(text, scope, model.library)
     right = ca.vertcat(*(forces.get(axis, ca.SX(0)) for axis in axes))
     balance = mass @ ca.vertcat(*(speeds[velocity] for velocity in velocities)) - right
     solved = dict(zip(velocities, ca.vertsplit(_solved(mass, right)), strict=True))

@@ -106,9 +106,7 @@ class Kernel:
         self.n_outputs = len(model.outputs)
         self.n_own = len(model.states)
         self.n_free = len(model.free_parameters)
-        n_extra = sum(len(effect.states) for effect in model.effects)
-        n_memory = sum(len(effect.memory) for effect in model.effects)
-        self.n_full = self.n_own + n_extra + n_memory
+        self.n_full = self.n_own + sum(len(e.states) + len(e.memory) for e in model.effects)
         self.n_columns = self.n_full + self.n_free
         self._compiled = compiled
 
@@ -206,11 +204,9 @@ class Kernel:
                 times, inputs, values, nodes, starts, from_nodes, (z, y, dy, ends, dends)
             )
         else:
-            h_max = float(self.model.step)
             failed = call(
-                self.library.kernel_run, n, times, inputs, values, h_max, n_segments,
-                starts, nodes, from_nodes, z, y, dy if width else None, ends,
-                dends if width else None,
+                self.library.kernel_run, n, times, inputs, values, float(self.model.step),
+                n_segments, starts, nodes, from_nodes, z, y, dy, ends, dends,
             )  # fmt: skip
         if failed >= 0:
             dy[failed:] = np.nan
@@ -261,8 +257,7 @@ class Kernel:
         )
         failed = call(
             self.library.kernel_gather, len(times), times, inputs, values, float(self.model.step),
-            n_segments, starts, nodes, measured, weight, gram,
-            ends if linked else None, dends if linked else None,
+            n_segments, starts, nodes, measured, weight, gram, ends, dends,
         )  # fmt: skip
         return Blocks(gram, ends, dends) if failed < 0 and summable(gram) else None
 
