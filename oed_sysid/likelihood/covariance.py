@@ -55,6 +55,7 @@ from oed_sysid.data.dataset import Record
 from oed_sysid.data.record import sampled_alike
 from oed_sysid.likelihood.between_records import CHANCE, FEWEST, Sources, sources_of
 from oed_sysid.likelihood.departures import TWOFOLD
+from oed_sysid.likelihood.estimate import by_name
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.information import (
     COLOUR_LIMIT,
@@ -661,13 +662,10 @@ class ReducedFilter(Reduced):
         reduced = eliminate(self._matrix, where, others[others < block.start])
         variances = np.maximum(np.diag(inverse_of(reduced)), 0.0)
         errors = np.where(np.diag(reduced) > 0, np.sqrt(variances), np.inf)
-        found = {}
-        for name, value, error in zip(levels.names, self.unknowns[block], errors, strict=True):
-            if name.endswith("level"):
-                # Of a variance: twice the relative error of its root.
-                error = 0.5 * error / value if value > 0 else np.inf
-            found[name] = float(error)
-        return found
+        # Of a variance: twice the relative error of its root.
+        values = np.where(levels.are_variances, 2.0 * self.unknowns[block], 1.0)
+        relative = np.where(values > 0, errors / np.where(values > 0, values, 1.0), np.inf)
+        return by_name(levels.names, relative)
 
 
 # Share of a record's windows over which scores are taken to be related.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -36,6 +37,8 @@ from oed_sysid.runtime.display import (
 )
 from oed_sysid.text.units import shown_unit
 
+# Sentences of a report.
+SAYS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 # Records that a page draws.
 MOST_DRAWN = 8
 # Correlation of two estimates from which on they can hardly be told apart.
@@ -212,20 +215,11 @@ class Fit(estimate.Estimate):
         """What to add to every interval that follows from the standard errors; often empty."""
         found = []
         if self._records_differ:
-            found.append(
-                "Records of the fit differ by more than its standard errors say, so these "
-                "intervals are too narrow: predict from fit.with_record_errors()."
-            )
+            found.append(SAYS["errors_too_small"])
         if self.purpose == "replay":
-            found.append(
-                "These values are for runs of a model that lacks physics: intervals hold about 35 "
-                "in place of 95 of 100. The scatter between records says more."
-            )
+            found.append(SAYS["for_runs"])
         elif self.noise.has_forces and self.whole_runs.took_the_work:
-            found.append(
-                "Process noise has taken the work of physics, and these values are for "
-                "derivatives: runs are better with those of replayed(fit)."
-            )
+            found.append(SAYS["for_derivatives"])
         return " ".join(found)
 
     def predict(
@@ -357,11 +351,7 @@ class Fit(estimate.Estimate):
         """Words where process noise has taken the work of physics."""
         if not (self.status.ok and self.whole_runs.took_the_work):
             return []
-        return [
-            "Process noise has taken the work of physics: "
-            f"{'; '.join(self.whole_runs.said)}. Look for what is missing with improve(); "
-            "for runs, simulation and export take the values of replayed(fit)."
-        ]
+        return [SAYS["taken"].format(said="; ".join(self.whole_runs.said))]
 
     def _answer(self, comparison: Any) -> str:
         """Whether the fit can be used, how certain it is, and how well it fits and predicts."""
@@ -380,10 +370,7 @@ class Fit(estimate.Estimate):
         words += f"; residuals are {self._misfit:.3g} × noise"
         # Filtered logs have next to no noise, of which residuals are no measure.
         if NEGLIGIBLE * self._misfit > 1.0:
-            words += (
-                ": the model is far off, or the log was smoothed and shows no noise; read errors "
-                "in units"
-            )
+            words += SAYS["far_off"]
         elif self.whole_runs.said:
             words += ", so the model lacks something"
         if self.whole_runs.sizes:
@@ -394,24 +381,15 @@ class Fit(estimate.Estimate):
         return f"{words}."
 
     def _estimates(self) -> Section:
-        size = 2.0 + 0.42 * len(self.names)
+        n = len(self.names)
+        size = 2.0 + 0.42 * n
         drawings = [
-            Figure(
-                "plot_intervals", self,
-                "Estimates with 95 % intervals, divided by the prior (grey bars), or by "
-                "themselves where nothing was.",
-                size=(7.6, 1.3 + 0.34 * len(self.names)),
-            ),
-            Figure(
-                "plot_correlation", self,
-                "Correlation of the estimates. Two that are close to ±1 can be told apart only "
-                "by other manoeuvres.",
-                size=(size + 0.8, size),
-            ),
-        ]  # fmt: skip
+            Figure("plot_intervals", self, SAYS["intervals"], size=(7.6, 1.3 + 0.34 * n)),
+            Figure("plot_correlation", self, SAYS["correlation"], size=(size + 0.8, size)),
+        ]
         return Section(
             "Estimates", (*self._local_lines(), *self._start_lines()), self._parameter_table(),
-            drawings[: len(self.names)], indent=2,
+            drawings[:n], indent=2,
         )  # fmt: skip
 
     def _intervals(self) -> list[Section]:
@@ -430,30 +408,17 @@ class Fit(estimate.Estimate):
     def _residuals(self, style: int) -> Section:
         words = self._captive_lines()
         if self.innovations is not None:
-            words += [
-                "Effective samples are of the one-step prediction errors, measured less expected "
-                "from all earlier samples; residuals are measured less the model running on its "
-                "own."
-            ]
-        drawing = Figure(
-            "figure_whiteness", self,
-            "Autocorrelation of the residuals, one line per record. White noise stays inside the "
-            "grey band; slow curves are physics or sensor dynamics that the model lacks.",
-            options={"style": style},
-        )  # fmt: skip
+            words.append(SAYS["one_step"])
+        options = {"style": style}
+        drawing = Figure("figure_whiteness", self, SAYS["whiteness"], options=options)
         return Section("Residuals", words, (self._output_table(),), (drawing,), indent=2)
 
     def _records(self, style: int) -> list[Section]:
         """Data and model of the first records, on a page."""
         drawings = [
-            Figure(
-                "figure_fit", self,
-                f"{name}: dots are measured, the line is the model and its band holds 95 % of the "
-                "noise around it. Right: measured minus model, with the band of the noise.",
-                (index,), {"style": style},
-            )
-            for index, name in enumerate(self.dataset.names[:MOST_DRAWN])
-        ]  # fmt: skip
+            Figure("figure_fit", self, SAYS["record"].format(name=name), (i,), {"style": style})
+            for i, name in enumerate(self.dataset.names[:MOST_DRAWN])
+        ]
         rest = len(self.dataset) - len(drawings)
         words = (f"{rest} further records are not drawn.",) if rest else ()
         return [Section("Records", words, figures=drawings, only="page")]
@@ -479,10 +444,7 @@ class Fit(estimate.Estimate):
             if np.isfinite(size):
                 lines.append(f"captive {axis}: error {size:.3g} x noise{more}")
         if self.tests_scatter:
-            lines.append(
-                "Forces of the captive tests scatter more than their noise allows: their part "
-                "of the standard errors is from their residuals, in whatever order."
-            )
+            lines.append(SAYS["tests_scatter"])
         return lines
 
     def _parameter_table(self) -> list[Table]:
@@ -549,16 +511,12 @@ class Fit(estimate.Estimate):
         ]
         table = Table(("process noise", "std. deviation", "95 %", "time [s]", "unit"), rows)
         sections = [Section("Process noise", tables=(table,), indent=2)] if rows else []
-        return [] if noise.is_white else sections + self._seas(units)
-
-    def _seas(self, units: Mapping[str, str]) -> list[Section]:
-        """Period, width and significant level of every sea."""
-        seas, many = self.noise.seas, len(self.noise.seas) > 1
-        return [
-            self._sea(f"sea {i}" if many else "sea", one, units) for i, one in enumerate(seas, 1)
-        ]
+        seas = [self._sea(*one, units) for one in zip(noise.sea_names, noise.seas, strict=True)]
+        return [] if noise.is_white else sections + seas
 
     def _sea(self, label: str, sea: Sea, units: Mapping[str, str]) -> Section:
+        """Period, width and significant level of a sea."""
+
         def told(name: str, size: float, count: int = 3) -> str:
             half = self._half(name, size)
             return digits(size, count) if np.isnan(half) else interval(size, half)
@@ -600,16 +558,9 @@ class Fit(estimate.Estimate):
         """What else to know before the values are used, one sentence each."""
         said_first = {self.status.advice, *(concern.text for concern in self.grave)}
         lines = [one.text for one in self.concerns if one.text not in said_first]
-        lines += [
-            f"Input {name} never moves in any record: what it does cannot be told from what else "
-            "is constant."
-            for name in self._still_inputs()
-        ]
+        lines += [SAYS["still_input"].format(name=name) for name in self._still_inputs()]
         if self.coloured:
-            lines.append(
-                "Residuals are correlated in time (see eff. samples): standard errors are from "
-                "the sandwich covariance."
-            )
+            lines.append(SAYS["coloured"])
         if self._ran:
             lines += [f"Not identifiable: {text}." for text in self.information.null_directions()]
         return lines + self._value_lines() + self._correlated_pairs()
@@ -621,10 +572,7 @@ class Fit(estimate.Estimate):
         if bounded := [one.name for one, value in own if not one.lower < value < one.upper]:
             lines.append(f"{', '.join(bounded)} at bound: widen it if it may be wrong.")
         if far := [one.name for one, value in own if _off_prior(one, value)]:
-            lines.append(
-                f"Further than {CLEARLY:g} standard deviations from the prior: "
-                f"{', '.join(far)}. A model that lacks an effect bends others to replace it."
-            )
+            lines.append(SAYS["far_from_prior"].format(far=CLEARLY, names=", ".join(far)))
         return lines
 
     def _still_inputs(self) -> list[str]:

@@ -339,6 +339,12 @@ class NoiseModel:
         return not (self.has_colour or self.has_forces)
 
     @property
+    def sea_names(self) -> list[str]:
+        """What its seas are called: ``sea``, or ``sea 1`` and so on."""
+        count = len(self.seas)
+        return [f"sea {i + 1}" if count > 1 else "sea" for i in range(count)]
+
+    @property
     def zeros(self) -> np.ndarray:
         """Standard deviations of the constants by which sensors are off, ``(n_outputs,)``."""
         return np.where(np.isinf(self.colour_time), self.colour, 0.0)
@@ -773,10 +779,9 @@ class Levels:
         """Names of the unknowns, such as ``"force Z level"`` or ``"colour of q time"``."""
         noise = self.noise
         colours = tuple(f"colour of {noise.outputs[column]}" for column in self.coloured)
-        seas = [f"sea {i + 1}" if len(noise.seas) > 1 else "sea" for i in range(len(noise.seas))]
         at_sea = [
             f"{label} {place}{' besides' if sea.phases and np.isnan(phase) else ''}"
-            for label, sea in zip(seas, noise.seas, strict=True)
+            for label, sea in zip(noise.sea_names, noise.seas, strict=True)
             for place, _, phase in sea.processes
         ]
         of = {
@@ -787,8 +792,8 @@ class Levels:
             COLOUR_TIME: ("time", (*colours, "colours")),
             SEA_VARIANCE: ("level", at_sea),
             SEA_PHASE: ("phase", at_sea),
-            SEA_PERIOD: ("period", seas),
-            SEA_DAMPING: ("bandwidth", seas),
+            SEA_PERIOD: ("period", noise.sea_names),
+            SEA_DAMPING: ("bandwidth", noise.sea_names),
         }
         # A time that all share has the index -1.
         return tuple(f"{of[kind][1][index]} {of[kind][0]}" for kind, index in self.entries)

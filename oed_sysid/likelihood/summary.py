@@ -16,29 +16,10 @@ from oed_sysid.likelihood.covariance import (
 )
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.filtered import Filtered
-from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.fit import SAYS, Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, Solution
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.shooting import Shooting
-
-ADVICE = {
-    "converged": "",
-    "stalled": (
-        "no step lowers the misfit, yet the gradient is not zero. Values are the best found; "
-        "check bounds and not identifiable parameters, or shorten the shooting interval."
-    ),
-    "enough": "white noise does not explain the residuals, and iterations ended early.",
-    "iterations": "the limit of iterations was reached. Raise max_iterations or start closer.",
-    "interrupted": "stopped by the user. Values are the best so far; fit(..., warm=fit) goes on.",
-    "infeasible": (
-        "no trajectory satisfies the constraints. Loosen them, or start from values that do."
-    ),
-    "diverged": (
-        "the model diverges from every start that was tried. Check signs and units of "
-        "the start values, reduce model.step (where some motions die out within a step: "
-        "replace(model, integrator='implicit')), or bound the parameters."
-    ),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +70,6 @@ class Procedure:
         """
         layout, starts, sources = problem.layout, problem.known_starts, errors.sources
         outputs = tuple(outputs for outputs, _ in paths)
-        own = range(len(problem.records))
         return Fit(
             model=problem.model.with_values(layout.means(problem.model, unknowns)),
             dataset=problem.dataset,
@@ -107,10 +87,10 @@ class Procedure:
             predictions=outputs,
             residuals=tuple(r.outputs - o for r, o in zip(problem.records, outputs, strict=True)),
             states=tuple(states for _, states in paths),
-            initial_states=tuple(problem.initial_state(unknowns, i).copy() for i in own),
+            initial_states=tuple(problem.initial_states(unknowns)),
             local_values=tuple(layout.local_values(unknowns)),
             cost=end[1],
-            status=Status(end[0], ADVICE[end[0]]),
+            status=Status(end[0], SAYS["status"][end[0]]),
             iterations=self.iterations,
             seconds=time.perf_counter() - self.began,
             start_states=() if starts is None else starts.described(problem.model),

@@ -362,6 +362,10 @@ class Posed:
         """The model's own initial states of one record, shape ``(n_own,)``."""
         return unknowns[self._columns[record][: self.layout.n_own]]
 
+    def initial_states(self, unknowns: np.ndarray) -> list[np.ndarray]:
+        """Copies of the model's own initial states of every record."""
+        return [self.initial_state(unknowns, i).copy() for i in range(len(self.records))]
+
     def fill(
         self, unknowns: np.ndarray, record: int, own: np.ndarray, values: Mapping[str, float]
     ) -> None:
