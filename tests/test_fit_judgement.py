@@ -590,6 +590,12 @@ def test_noise_of_a_logged_input_is_named() -> None:
     asked = MultipleShooting().fit(yaw_model(), noisy)
     assert asked.noise.places == ("actuator delta",)
     assert "input_noise" in kinds(asked)
+    # So it is where the equations call the command otherwise than the log.
+    renamed = {"psi": "r", "r": "(K*d - r - alpha*r**3)/T"}
+    renamed = replace(yaw_model(), actuators={"d": "delta"}, kinematics=renamed)
+    called = MultipleShooting().fit(renamed, noisy)
+    assert called.noise.places == ("actuator d",)
+    assert [c.signal for c in called.concerns if c.kind == "input_noise"] == ["delta"]
 
 
 def test_an_exact_input_is_no_noise_however_rough() -> None:

@@ -85,6 +85,11 @@ def places(model: Model) -> tuple[Place, ...]:
     return tuple(found)
 
 
+def commands(model: Model) -> list[Place]:
+    """Places of the commands: what acts there may be another one than was logged."""
+    return [place for place in places(model) if place.stage == "actuator"]
+
+
 def equation_units(model: Model) -> dict[str, str]:
     """Units of what stands in the equations: rates by state, sums of forces by axis."""
     rates = {state.name: _rate(state.unit) for state in model.states}

@@ -55,8 +55,8 @@ import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from importlib.resources import files
 from itertools import chain, islice
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -76,6 +76,7 @@ from oed_sysid.likelihood.departures import (
     estimate_departures,
     outputs_of,
 )
+from oed_sysid.likelihood.disturbances import commands
 from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate, once_a_fit
 from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
 from oed_sysid.likelihood.input_factors import input_factors
@@ -87,10 +88,9 @@ from oed_sysid.runtime.constants import BEYOND, IMMATERIAL, MATERIAL, NEGLIGIBLE
 from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
 from oed_sysid.text.units import shown_unit
 
-# Sentences of every kind of concern.
-SAYS: dict[str, str] = tomllib.loads(
-    files(__package__).joinpath("concerns.toml").read_text("utf-8")
-)
+# Sentences of every kind of concern, and what differs in them from case to case.
+_TABLE = tomllib.loads(Path(__file__).with_name("concerns.toml").read_text(encoding="utf-8"))
+SAYS, SO = _TABLE["says"], _TABLE["so"]
 # A fit goes through the verdict as what it is.
 Judged = TypeVar("Judged", bound=Estimate)
 # Beyond so many times its scale no value is physical, and none that the records do not show.
@@ -266,10 +266,8 @@ def _levels(fit: Estimate) -> Iterator[Found]:
     if fit.innovations is None:  # those that it took where it was given others
         declared = np.where(fit.sigma_estimated, declared, fit.sigma)
     share = max(1.0 - fit.n_unknowns / max(fit.n_observations, 1), 0.1)
-    for column, output in enumerate(fit.model.outputs):
-        if fit.sigma_estimated[column] or not np.isfinite(declared[column]):
-            continue
-        told = _level(fit, column, share)
+    for column in np.flatnonzero(np.isfinite(declared) & ~fit.sigma_estimated).tolist():
+        output, told = fit.model.outputs[column], _level(fit, column, share)
         if told is None:
             continue
         factor, error, tests = told
@@ -286,20 +284,17 @@ def _levels(fit: Estimate) -> Iterator[Found]:
         # What explains more than it leaves is no noise, in whatever it bends.
         if departure is not None and departure.share > 0.5:
             continue
-        wrong = "small" if factor > 1.0 else "large"
-        so = f"Standard errors are too {wrong} for it: set noise_std, or noise='estimate'."
-        if slow > 0.0:
-            so = "Standard errors hold what was found, autocorrelated part included: set noise_std."
-        if tests and factor > 1.0:
-            so = (
-                "Standard errors are from the scatter of the tests. Look for what the model "
-                "lacks, or state a larger noise."
-            )
         yield Found(factor, output.name, facts={
             "declared": declared[column], "found": factor * declared[column], "unit": output.unit,
             "low": factor * np.exp(-TWO_SIDED_95 * error),
-            "high": factor * np.exp(TWO_SIDED_95 * error), "so": so,
+            "high": factor * np.exp(TWO_SIDED_95 * error), "so": _so(factor, slow, tests=tests),
         })  # fmt: skip
+
+
+def _so(factor: float, slow: float, *, tests: bool) -> str:
+    """What a level that is not the declared one does to standard errors, and what to do."""
+    case = "of_tests" if tests and factor > 1.0 else "with_memory" if slow > 0.0 else "white"
+    return SO[case].format(wrong="small" if factor > 1.0 else "large")
 
 
 def _level(fit: Estimate, column: int, share: float) -> tuple[float, float, bool] | None:
@@ -381,16 +376,10 @@ def _memory(fit: Estimate, name: str, tests: Sequence[Whiteness]) -> Found | Non
     effective = sum(test.effective_samples for test in tests)
     if not n or effective > COLOUR_LIMIT * n or not _remember(tests, n):
         return None
-    todo = (
-        "Standard errors are from the sandwich covariance, which needs noise that does not "
-        "depend on the manoeuvre; look for what is missing with improve()."
-        if fit.coloured
-        else "Standard errors are too small; look for what is missing with improve(), or let "
-        "disturbance forces in."
-    )
     what = "Innovations" if fit.innovations is not None else "Residuals"
     return Found(effective / n, name, facts={
-        "what": what, "n": n, "effective": effective, "todo": todo,
+        "what": what, "n": n, "effective": effective,
+        "todo": SO["sandwich" if fit.coloured else "too_small"],
     })  # fmt: skip
 
 
@@ -444,15 +433,12 @@ def _spikes(fit: Estimate) -> Iterator[Found]:
     """Isolated outliers."""
     masks = noise_levels.spike_masks(fit.series, declared=~fit.sigma_estimated)
     sizes = noise_levels.spike_sizes(fit.series)
+    every, marked, away = (np.vstack(parts) for parts in (fit.series, masks, sizes))
     for column, name in enumerate(fit.model.output_names):
-        count = int(sum(mask[:, column].sum() for mask in masks))
+        values = away[marked[:, column], column]
+        n, count, up = np.isfinite(every[:, column]).sum(), len(values), int((values > 0).sum())
         if not count:
             continue
-        n = int(sum(np.isfinite(part[:, column]).sum() for part in fit.series))
-        values = np.concatenate(
-            [part[mask[:, column], column] for part, mask in zip(sizes, masks, strict=True)]
-        )
-        up = int((values > 0).sum())
         one_sided = count > 4 and min(up, count - up) <= 0.1 * count
         yield Found(count, name, facts={
             "n": n, "side": ", one-sided" if one_sided else "",
@@ -539,10 +525,11 @@ def _inputs(fit: Estimate) -> Iterator[Found]:
     what these do not; where in their place, they explain as much, and nothing tells which acts.
     """
     known = {effect.noise.place for effect in random_effects(fit.model.effects) if effect.noise}
+    logged = {place.name: place.channel for place in commands(fit.model)}
     names, rng = fit.model.input_names, np.random.default_rng(0)
     for place, level in zip(fit.noise.places, fit.noise.force, strict=True):
-        stage, _, name = place.partition(" ")
-        if stage != "actuator" or place in known or name not in names or not level > 0.0:
+        name = logged.get(place, "")
+        if place in known or name not in names or not level > 0.0:
             continue
         # At zero, a bound, half of all statistics are none.
         if not loss_without(fit, place) > chdtri(1, 2.0 * noise_levels.RARE) or laws_of(fit):
@@ -553,8 +540,7 @@ def _inputs(fit: Estimate) -> Iterator[Found]:
             beside = any(not one.startswith("actuator ") for one in fit.noise.places)
             yield Found(size, name, facts={
                 "level": level, "unit": fit.model.inputs[column].unit,
-                "how": "better than forces do" if beside else "as well as forces do, which these "
-                "records cannot tell from it",
+                "how": SO["beside_forces" if beside else "for_forces"],
             })  # fmt: skip
 
 
@@ -603,10 +589,7 @@ def _scale_to_say(parameter: Parameter, fit: Estimate, taken: float) -> str:
     name = parameter.name
     if not taken > 0.0 or parameter.scale is not None or fit.nominal[name]:
         return ""
-    return (
-        f" It starts at zero, so that its size was taken to be {taken:g}; if it may be as large, "
-        f"say Parameter({name!r}, ..., scale={abs(fit.values[name]):.0e})."
-    )
+    return SO["scale"].format(taken=taken, name=name, size=abs(fit.values[name]))
 
 
 def _far_outputs(fit: Estimate) -> Iterator[Found]:
@@ -626,9 +609,7 @@ def _far_outputs(fit: Estimate) -> Iterator[Found]:
 def _integration(fit: Estimate) -> Iterator[Found]:
     """Trajectories that depend on the integration step."""
     if _has_numbers(fit) and (change := step_change(fit)).size >= MATERIAL:
-        stiff = ""
-        if fit.model.integrator != "implicit":
-            stiff = ", or take Model(integrator='implicit') if some motions die out within a step"
+        stiff = "" if fit.model.integrator == "implicit" else SO["implicit"]
         step = fit.model.step
         facts = {"finer": 0.5 * step, "step": step, "stiff": stiff, "limit": MATERIAL}
         yield Found(change.size, change.output, change.record, facts)
@@ -729,22 +710,22 @@ def unexplained(fit: Estimate) -> dict[str, float]:
 
 def _unexplained(fit: Estimate) -> Iterator[Found]:
     """Outputs that move, or all outputs, of which noise or forces hold nearly everything."""
-    shares = {name: share for name, share in unexplained(fit).items() if not np.isnan(share)}
-    poor = [name for name, share in shares.items() if share >= BARELY]
-    if not poor or not fit.dataset.channels.inputs:
+    shares = np.array(list(unexplained(fit).values()))
+    poor = shares >= BARELY
+    if not poor.any() or not fit.dataset.channels.inputs:
         return
-    moves = _Motion.of(fit).beyond(noise_levels.white_levels(fit.dataset)[0])
-    moving = dict(zip(fit.model.output_names, moves | (len(poor) == len(shares)), strict=True))
-    rest = "the noise is the rest"
-    what = "disturbance forces hold the rest" if fit.innovations is not None else rest
-    found = [name for name in poor if moving[name]]
-    excused = _carried_away(fit) if found and fit.innovations is not None else ()
-    for name in (name for name in found if name not in excused):
-        yield Found(shares[name], name, facts={"what": what}, row="unexplained")
+    moving = _Motion.of(fit).beyond(noise_levels.white_levels(fit.dataset)[0])
+    found, what = poor & (moving | poor[~np.isnan(shares)].all()), "the noise is the rest"
+    if fit.innovations is not None:
+        what = "disturbance forces hold the rest"
+        found &= ~_carried_away(fit) if found.any() else found
+    for column in np.flatnonzero(found):
+        name = fit.model.output_names[column]
+        yield Found(shares[column], name, facts={"what": what}, row="unexplained")
 
 
-def _carried_away(fit: Estimate) -> list[str]:
-    """Outputs of which disturbances leave runs no better than a constant, not the model.
+def _carried_away(fit: Estimate) -> np.ndarray:
+    """Outputs of which disturbances leave runs no better than a constant, ``(n_outputs,)``.
 
     Those whose innovations the model's answer to the inputs makes smaller; where there are any,
     also those for which neither the fit nor its start values state an answer that would show.
@@ -754,7 +735,7 @@ def _carried_away(fit: Estimate) -> list[str]:
     at_first, _ = _answers(replace(fit, model=fit.model.with_values(begun)))
     answered = (stated > BEYOND) & (gained > 0.0)
     silent = (stated <= BEYOND) & (at_first <= BEYOND) & answered.any()
-    return [fit.model.output_names[column] for column in np.flatnonzero(answered | silent)]
+    return np.asarray(answered | silent)
 
 
 def _answers(fit: Estimate) -> tuple[np.ndarray, np.ndarray]:
@@ -813,21 +794,20 @@ def _records_differ(fit: Estimate) -> Iterator[Found]:
 
 def _follows(fit: Estimate) -> Iterator[Found]:
     """Parameters of records that follow the amplitude of a signal over the records."""
-    n, sizes = len(fit.dataset), {}
+    n = len(fit.dataset)
     amplitudes = np.array([np.max(np.abs(record.inputs), axis=0) for record in fit.dataset])
-    for name, part in zip(fit.model.input_names, amplitudes.T, strict=True):
-        if np.ptp(part) > 1e-2 * np.max(part):
-            sizes[name] = part
-    for name in fit.local_values[0] if n >= FEWEST and fit.local_values and sizes else ():
+    moving = np.ptp(amplitudes, axis=0) > 1e-2 * np.max(amplitudes, axis=0)
+    for name in fit.local_values[0] if n >= FEWEST and fit.local_values and moving.any() else ():
         values = np.array([local[name] for local in fit.local_values])
         if np.ptp(values) > 0:
-            told = {one: float(np.corrcoef(values, size)[0, 1]) for one, size in sizes.items()}
-            signal = max(told, key=lambda one: abs(told[one]))
-            t = abs(told[signal]) * np.sqrt((n - 2) / max(1.0 - told[signal] ** 2, 1e-12))
+            told = np.corrcoef(values, amplitudes[:, moving].T)[0, 1:]
+            best = int(np.argmax(np.abs(told)))
+            t = abs(told[best]) * np.sqrt((n - 2) / max(1.0 - told[best] ** 2, 1e-12))
             chance = 2.0 * float(stdtr(n - 2, -t))
-            if chance * len(sizes) <= CHANCE:
+            if chance * len(told) <= CHANCE:
+                signal = fit.model.input_names[np.flatnonzero(moving)[best]]
                 facts = {"follows": signal, "n": n, "chance": 100 * chance}
-                yield Found(told[signal], name, facts=facts)
+                yield Found(told[best], name, facts=facts)
 
 
 # How every kind of concern is found, the gravest first.

@@ -59,8 +59,7 @@ from oed_sysid.likelihood.departures import (
     smoothed_inputs,
     values_of,
 )
-from oed_sysid.likelihood.disturbances import DISTURBANCE, chosen_places
-from oed_sysid.likelihood.disturbances import places as every_place
+from oed_sysid.likelihood.disturbances import DISTURBANCE, chosen_places, commands
 from oed_sysid.likelihood.estimate import Departure, Estimate, once_a_fit
 from oed_sysid.likelihood.filtered import Filtered, disturbed_model
 from oed_sysid.likelihood.gauss_newton import solve_filtered
@@ -146,7 +145,7 @@ def posed_again(
         chosen_places(fit.model, "all"),
         noise.white,
         np.zeros(len(noise.white), dtype=bool),
-        logged=[place for place in every_place(fit.model) if place.stage == "actuator"],
+        logged=commands(fit.model),
     )
     unknown = Levels.of(
         noise,
@@ -538,46 +537,57 @@ def _features(
 ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
     """Functions of every signal, and a constant, ``(n_times, n_functions)``.
 
-    Whose each is, and whether it is of a law of that signal alone. Each step in the run is a signal
-    of its own: one jump of a force in one record is no law.
+    Whose each is, and whether it is of a law of that signal alone.
     """
-    signals = [
-        _signals(problem, record, part.path)
-        for record, part in zip(problem.records, passes, strict=True)
-    ]
+    pairs = zip(problem.records, passes, strict=True)
+    signals = [_signals(problem, record, part.path) for record, part in pairs]
     longest = max(record.duration for record in problem.records)
     into = [(record.times - record.times[0]) / longest for record in problem.records]
     times = [_hats(own, np.linspace(0.0, 1.0, KNOTS)) for own in into]
-    found = [[np.ones((len(own), 1))] for own in into]
-    owners, alone = [""], [False]
-
-    def owned(owner: str, count: int, *, apart: bool = False) -> None:
-        owners.extend([owner] * count)
-        alone.extend([apart] * count)
-
+    blocks: list[_Block] = [("", False, [np.ones((len(own), 1)) for own in into])]
     for name in signals[0]:
-        columns = [own[name] for own in signals]
-        knots, finer = _knots(np.concatenate(columns))
-        if len(knots) < 2:
-            continue
-        size = np.std(np.concatenate(columns))
-        fades = name in problem.model.input_names
-        # All hats but one: they add up to the constant.
-        for own, record, column, time in zip(found, problem.records, columns, times, strict=True):
-            scaled = column / size
-            own += [_hats(column, knots), _lagged(record.times, scaled)]
-            own += [_hats(column, knots, finer), time * scaled[:, None]][: 1 + fades]
-        owned(name, len(knots) - 1 + LAGS)
-        owned(name, len(finer), apart=True)
-        owned(IN_THE_RUN, (KNOTS - 1) * fades)
-    if len(owners) > 1:
-        steps = np.arange(1, PARTS) / PARTS if len(into) > 1 else np.zeros(0)
-        for own, time, part in zip(found, times, into, strict=True):
-            own += [time, (part[:, None] >= steps).astype(float)]
-        owned(IN_THE_RUN, KNOTS - 1)
-        for step in steps:
-            owned(f"{STEP}{step * longest:.3g} s", 1, apart=True)
-    return [np.hstack(own) for own in found], np.array(owners), np.array(alone)
+        blocks += _of_signal(problem, name, [own[name] for own in signals], times)
+    if len(blocks) > 1:
+        blocks += _of_the_run(into, times, longest)
+    owners, alone, columns = zip(*blocks, strict=True)
+    counts = [of_first.shape[1] for of_first, *_ in columns]
+    found = list(map(np.hstack, zip(*columns, strict=True)))
+    return found, np.repeat(owners, counts), np.repeat(alone, counts)
+
+
+# Functions of a signal: which, whether they are asked of it alone, and their columns per record.
+_Block = tuple[str, bool, list[np.ndarray]]
+
+
+def _of_signal(
+    problem: Filtered, name: str, series: list[np.ndarray], times: list[np.ndarray]
+) -> Iterator[_Block]:
+    """Functions of one signal; of one that never moves there are none."""
+    pooled = np.concatenate(series)
+    knots, finer = _knots(pooled)
+    if len(knots) < 2:
+        return
+    scaled = [one / np.std(pooled) for one in series]
+    pairs = zip(problem.records, scaled, strict=True)
+    # All hats but one: they add up to the constant.
+    yield name, False, [_hats(one, knots) for one in series]
+    yield name, False, [_lagged(record.times, one) for record, one in pairs]
+    yield name, True, [_hats(one, knots, finer) for one in series]
+    if name in problem.model.input_names:  # which may fade in the run
+        faded = zip(times, scaled, strict=True)
+        yield IN_THE_RUN, False, [time * one[:, None] for time, one in faded]
+
+
+def _of_the_run(
+    into: list[np.ndarray], times: list[np.ndarray], longest: float
+) -> Iterator[_Block]:
+    """Functions of the time in the run; of steps each is a signal of its own.
+
+    One jump of a force in one record is no law.
+    """
+    yield IN_THE_RUN, False, times
+    for step in np.arange(1, PARTS) / PARTS if len(into) > 1 else ():
+        yield f"{STEP}{step * longest:.3g} s", True, [own[:, None] >= step for own in into]
 
 
 def _knots(pooled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

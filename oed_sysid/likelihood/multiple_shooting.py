@@ -18,8 +18,7 @@ from oed_sysid.likelihood.departures import (
     clear_starts,
     estimate_departures,
 )
-from oed_sysid.likelihood.disturbances import Place, chosen_places
-from oed_sysid.likelihood.disturbances import places as every_place
+from oed_sysid.likelihood.disturbances import Place, chosen_places, commands
 from oed_sysid.likelihood.estimate import ProcessNoiseTest
 from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.fit import Fit
@@ -139,25 +138,19 @@ class MultipleShooting:
             advice = "Give seconds above zero, or None, which predicts whole records."
             estimator.check_positive("horizon", self.horizon, advice)
         forces, ahead = self.disturbances not in ("auto", "none"), self.horizon is not None
-        program = self.solver.method == "ipopt"
-        for clash, words in (
-            (
-                ahead and forces,
-                f"disturbances={self.disturbances!r} needs whole records. Drop it or the horizon.",
-            ),
-            (
-                ahead and any((program, self._white_only, self.interval is not None)),
+        program, asked = self.solver.method == "ipopt", f"disturbances={self.disturbances!r}"
+        if ahead and forces:
+            raise ModelError(f"{asked} needs whole records. Drop it or the horizon.")
+        if ahead and any((program, self._white_only, self.interval is not None)):
+            raise ModelError(
                 "A horizon goes with Solver('gauss-newton'), loss='auto' or 'square' and "
-                "interval=None: its windows are the intervals.",
-            ),
-            (
-                forces and self._white_only,
-                f"disturbances={self.disturbances!r} goes with loss='square' or 'auto'. Drop the "
-                "other setting, or take disturbances='none'.",
-            ),
-        ):
-            if clash:
-                raise ModelError(words)
+                "interval=None: its windows are the intervals."
+            )
+        if forces and self._white_only:
+            raise ModelError(
+                f"{asked} goes with loss='square' or 'auto'. Drop the other setting, or take "
+                "disturbances='none'."
+            )
 
     @property
     def _white_only(self) -> bool:
@@ -334,7 +327,7 @@ class MultipleShooting:
 
     def _without_process_noise(self, task: _Task, point: Point, *, wanted: bool) -> Solution:
         """Iterations and levels of white noise; they end early where process noise may follow."""
-        shooting, minimise = task.shooting, self._minimiser(task.shooting)
+        shooting, minimise = task.shooting, self._minimiser()
         carried = task.carried is not None
         # Soon where disturbance forces are known from an earlier fit.
         patience = FEW if carried else FIRST_STEPS
@@ -357,7 +350,7 @@ class MultipleShooting:
         if fit.covariance is not white.covariance or not (early or tests or fit.coloured):
             return fit
         if early:
-            again = self._minimiser(end.shooting)(end.shooting, end.point)
+            again = self._minimiser()(end.shooting, end.point)
             end = end if again.reason == "diverged" else _after(again, end)
         return replace(self._summary(task, end), process_noise=fit.process_noise)
 
@@ -477,7 +470,6 @@ class MultipleShooting:
         floor, _ = noise_levels.credible_levels(fit.dataset)
         model, estimated = task.shooting.model, task.how.estimated
         chosen = self.disturbances not in ("auto", "all")
-        inputs = [place for place in every_place(model) if place.stage == "actuator"]
         seas = seas_in(self.disturbances)
         return Setting(
             model,
@@ -485,7 +477,7 @@ class MultipleShooting:
             places,
             np.where(estimated, np.minimum(fit.sigma, floor), fit.sigma),
             estimated,
-            logged=() if chosen else inputs,
+            logged=() if chosen else commands(model),
             known=[process.place for process in declared if process.known],
             known_starts=task.shooting.known_starts,
             seas=seas,
@@ -518,7 +510,7 @@ class MultipleShooting:
                 break
         return found
 
-    def _minimiser(self, shooting: Shooting) -> Minimiser:
+    def _minimiser(self) -> Minimiser:
         """What turns a problem and a point into a solution."""
         minimise: Minimiser = solve
         if self.horizon is not None:
