@@ -20,7 +20,7 @@ remember, such as a rudder that lags, each test is a record of its own and begin
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from inspect import signature
 
@@ -91,33 +91,30 @@ class CaptiveTests:
     noise: Mapping[str, float]
 
     def __post_init__(self) -> None:
-        def check(good: bool, words: str) -> None:
-            if not good:
-                raise DataError(f"Captive tests {self.name!r}{words}")
-
-        sizes = set()
         for what in ("motions", "inputs", "forces"):
             columns = {k: np.array(v, dtype=float) for k, v in getattr(self, what).items()}
             object.__setattr__(self, what, columns)
-            sizes |= {column.shape for column in columns.values()}
-            for name, column in columns.items() if what != "forces" else ():
-                check(
-                    bool(np.isfinite(column).all()),
-                    f": {name} has values that are not finite. Leave these tests out.",
-                )
-        shapes = ", ".join(map(str, sorted(sizes)))
-        check(
-            len(sizes) == 1 and len(next(iter(sizes))) == 1,
-            f" have columns of shapes {shapes}; expected one value per test in each.",
-        )
-        check(bool(self.forces), " have no force. Give at least one axis.")
-        check(self.n_tests > 0, " are none. Give at least one test.")
+        for words in self._faults():
+            raise DataError(f"Captive tests {self.name!r}{words}")
+
+    def _faults(self) -> Iterator[str]:
+        """What is wrong with the tests, one after the other."""
+        given = [*self.motions.items(), *self.inputs.items()]
+        for name, column in given:
+            if not np.isfinite(column).all():
+                yield f": {name} has values that are not finite. Leave these tests out."
+        shapes = {column.shape for _, column in (*given, *self.forces.items())}
+        if [*map(len, shapes)] != [1]:
+            listed = ", ".join(map(str, sorted(shapes)))
+            yield f" have columns of shapes {listed}; expected one value per test in each."
+        if not self.forces:
+            yield " have no force. Give at least one axis."
+        if not self.n_tests:
+            yield " are none. Give at least one test."
         for axis in self.forces:
             noise = self.noise.get(axis)
-            check(
-                (noise or 0.0) > 0.0,
-                f": the noise of {axis} is {noise}. Give its standard deviation, above zero.",
-            )
+            if not (noise or 0.0) > 0.0:
+                yield f": the noise of {axis} is {noise}. Give its standard deviation, above zero."
 
     @property
     def n_tests(self) -> int:

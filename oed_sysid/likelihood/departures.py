@@ -182,7 +182,7 @@ def asked_of(model: Model) -> list[tuple[tuple[str, ...], str]]:
     return [
         *(((name,), kind) for kind in SHAPES for name in model.output_names),
         *((signals, kind) for signals in of_one_unit(model) for kind in ("late", "slow")),
-        *((signals, kind) for signals in instruments_of(model) for kind in levers_of(model)),
+        *((signals, kind) for signals in instruments_of(model) for kind in LEVERS),
         *(((name,), kind) for kind in ACTING for name in model.input_names),
     ]
 
@@ -212,19 +212,11 @@ def accelerations_of(model: Model) -> dict[str, int]:
 def instruments_of(model: Model) -> list[tuple[str, ...]]:
     """Outputs of a receiver and of accelerometers, of which it is asked where these are.
 
-    A single position does not tell that from its zero.
+    A single position does not tell that from its zero. What turning does to accelerations needs no
+    velocity along the arm: a heave and pitch model has accelerometers ahead.
     """
     positions, accelerations = positions_of(model), tuple(accelerations_of(model))
     return [*[positions] * (len(positions) > 1), *[accelerations] * bool(accelerations)]
-
-
-def levers_of(model: Model) -> tuple[str, ...]:
-    """Kinds of an instrument off the origin, where there is one.
-
-    What turning does to accelerations needs no velocity along the arm: a heave and pitch model has
-    accelerometers ahead.
-    """
-    return tuple(LEVERS) if instruments_of(model) else ()
 
 
 def off_origin(
@@ -276,7 +268,7 @@ def estimate_departures(fit: Estimate) -> tuple[Departure, ...]:
     See the equations above; residuals that are coloured enlarge the standard errors by the root
     of the ratio of all to independent samples, those larger than declared by their misfit.
     """
-    own = _slowness(fit)
+    own = slowness(fit)
     found = []
     for one in _scores(fit, _evidence(fit, partial(_departed, fit), fewest=3), joint=True):
         signals, kind = asked_of(fit.model)[one.column]
@@ -286,7 +278,7 @@ def estimate_departures(fit: Estimate) -> tuple[Departure, ...]:
     return tuple(found)
 
 
-def _slowness(fit: Estimate) -> dict[str, float]:
+def slowness(fit: Estimate) -> dict[str, float]:
     """Roots of samples over independent samples of every output."""
     counts = fit.effective_samples().items()
     return {name: float(np.sqrt(max(n, 1) / max(some, 1.0))) for name, (some, n) in counts}
@@ -299,7 +291,7 @@ def _departed(fit: Estimate, index: int, run: Run, _: np.ndarray) -> np.ndarray:
     known = np.array_equal(calm, record.inputs)
     smoothed = run.outputs if known else outputs_of(fit, index, calm)
     shapes = {kind: shape(smoothed, record.times) for kind, shape in SHAPES.items()}
-    for kind in levers_of(model):
+    for kind in LEVERS if instruments_of(model) else ():
         shapes[kind] = off_origin(model, kind, values, run.states, record.times)
     columns = []
     for signals, kind in asked_of(model):
@@ -404,7 +396,7 @@ def estimate_starts(fit: Estimate) -> tuple[ActuatorStart, ...]:
     def beside(_: int, __: Run, by_start: np.ndarray) -> np.ndarray:
         return np.stack([by_start[:, :, places].sum(axis=2) for *_, places in columns], axis=2)
 
-    slow = max(_slowness(fit).values(), default=1.0)
+    slow = max(slowness(fit).values(), default=1.0)
     found = [
         ActuatorStart(*columns[one.column][:2], one.record, one.size, slow * one.std, one.share)
         for one in _scores(fit, _evidence(fit, beside), joint=False)

@@ -261,11 +261,9 @@ def whitened(problem: Filtered, point: Point, *, levels_only: bool = False) -> I
     With ``levels_only`` the equations tell of the levels of the noise alone.
     """
     found = problem.passes(point.unknowns, levels_only=levels_only)
-    objective = sum(part.objective for part in found)
-    if not np.isfinite(objective):
-        return nowhere(problem, point)
     matrix, right = problem.gathered(point.unknowns, found)
-    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+    objective = sum(part.objective for part in found)
+    if not all(np.isfinite(one).all() for one in (objective, matrix, right)):
         return nowhere(problem, point)
     cost = 0.5 * objective + problem.prior_cost(point.unknowns)
     return _filtered(problem, point, cost, lambda: (matrix, right))
@@ -475,10 +473,12 @@ class Descent:
         callback: Callable[[Progress], None] | None = None,
         enough: Callable[[Progress], bool] | None = None,
     ) -> str:
-        """Take at most so many steps; return why they ended.
+        """Take at most so many steps; return why they ended, or that there is none from here.
 
         A keyboard interrupt ends them and keeps the last point.
         """
+        if not np.isfinite(self.now.cost):
+            return "diverged"
         try:
             for _ in range(most):
                 if outcome := self._advance():
@@ -673,11 +673,10 @@ def solve(
     """
     # Robust weights need residuals sample by sample.
     evaluate = gathered if shooting.loss is None else exact
-    begin = evaluate(shooting, point)
-    if not np.isfinite(begin.cost):
-        return Solution(begin, 0, "diverged")
-    descent = Descent(begin, evaluate, Convergence(tolerance))
+    descent = Descent(evaluate(shooting, point), evaluate, Convergence(tolerance))
     reason = descent.run(max_iterations, callback=callback, enough=enough)
+    if reason == "diverged":
+        return Solution(descent.now, 0, reason)
     if evaluate is gathered and descent.refine(exact) and reason in ("converged", "stalled"):
         left = max(max_iterations - descent.steps, 1)
         reason = descent.run(left, callback=callback, enough=enough)
@@ -728,8 +727,7 @@ class FilteredSolution(Solution):
     @property
     def initial(self) -> list[np.ndarray]:
         """Start states of every record."""
-        count = self.problem.layout.n_records
-        return [self.problem.initial_state(self.point.unknowns, i).copy() for i in range(count)]
+        return self.problem.initial_states(self.point.unknowns)
 
     @property
     def local(self) -> list[dict[str, float]]:
@@ -826,7 +824,7 @@ def _polished(descent: Descent, most: int) -> str:
         evaluate = partial(_corrected, lacks=before.equations.right - frozen.right)
         begin, control = evaluate(problem, descent.now.point), StepControl(1, MOST_DAMPING)
         inner = Descent(begin, evaluate, Convergence(FROZEN_TOLERANCE), control, descent.trust)
-        ended = inner.run(FEW) if np.isfinite(begin.cost) else "diverged"
+        ended = inner.run(FEW)
         if inner.steps:
             descent.now, descent.evaluate = inner.now, evaluate
             descent.steps += inner.steps

@@ -110,12 +110,9 @@ def _both_steps(
     moving = len(fit.model.all_state_names)
 
     def pieces(one: Kernel) -> np.ndarray:
-        nodes = np.stack(
-            [
-                one.start(states[k, : one.n_own], record.inputs[k], values, record.times[k])[0]
-                for k in starts
-            ]
-        )
+        own = states[:, : one.n_own]
+        begun = (one.start(own[k], record.inputs[k], values, record.times[k]) for k in starts)
+        nodes = np.stack([z for z, _ in begun])
         nodes[:, :moving] = states[starts, :moving]
         return one.run(record.times, record.inputs, values, nodes, starts=starts).outputs
 

@@ -14,7 +14,7 @@ one value to the last digit longer than noise lets them.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import comb
@@ -341,6 +341,14 @@ def surely_beyond(chance: float, count: int) -> float:
     return float(-ndtri(0.5 * chance / count))
 
 
+def _measured(whitened: Sequence[np.ndarray]) -> Iterator[_Output]:
+    """Measured samples of every output."""
+    for column in range(whitened[0].shape[1]):
+        rows = [np.flatnonzero(np.isfinite(part[:, column])) for part in whitened]
+        pairs = zip(whitened, rows, strict=True)
+        yield _Output(rows, [part[index, column] for part, index in pairs])
+
+
 def _by_output(
     whitened: Sequence[np.ndarray],
     find: Callable[[int, _Output], Sequence[np.ndarray] | None],
@@ -351,11 +359,10 @@ def _by_output(
     Elsewhere, and where nothing is found, stands ``nothing``.
     """
     found = tuple(np.full(part.shape, nothing) for part in whitened)
-    for column in range(whitened[0].shape[1]):
-        rows = [np.flatnonzero(np.isfinite(part[:, column])) for part in whitened]
-        values = [part[index, column] for part, index in zip(whitened, rows, strict=True)]
-        parts = find(column, _Output(rows, values))
-        for one, index, part in zip(found, rows, parts, strict=True) if parts is not None else ():
+    for column, measured in enumerate(_measured(whitened)):
+        parts = find(column, measured)
+        triples = () if parts is None else zip(found, measured.rows, parts, strict=True)
+        for one, index, part in triples:
             one[index, column] = part
     return found
 
@@ -619,28 +626,25 @@ def stand_out(outputs: Sequence[np.ndarray]) -> bool:
     outputs : sequence of ndarray (n_times, n_outputs)
         Measurements, NaN where missing.
     """
-    found = []
+    return any(_stands_out(one, RARE / outputs[0].shape[1]) for one in _measured(outputs))
 
-    def find(_: int, one: _Output) -> None:
-        off = [_off_cubic(values) for values in one.values]
-        steps = [np.diff(values) for values in one.values]
-        every = np.concatenate(steps)
-        if not len(every):
-            return
-        spreads = one.usual, robust_deviation(np.concatenate(off)), robust_deviation(every)
-        if min(spreads) <= 0.0:  # of noise nothing is seen
-            found.append(True)
-            return
-        surely = one.surely(RARE / outputs[0].shape[1])
-        longest = _longest(max(int(np.sum(every == 0.0)), 1), len(every))
-        found.append(
-            np.concatenate(one.sizes(off, *spreads[:2])).max() > surely
-            or np.abs(every).max() > surely * spreads[2]
-            or any(np.any(Runs.of(values).length > longest) for values in one.values)
-        )
 
-    _by_output(outputs, find)
-    return any(found)
+def _stands_out(one: _Output, chance: float) -> bool:
+    """Whether a sample, a step or a repetition of one output does."""
+    off = [_off_cubic(values) for values in one.values]
+    every = np.concatenate([np.diff(values) for values in one.values])
+    if not len(every):
+        return False
+    spreads = one.usual, robust_deviation(np.concatenate(off)), robust_deviation(every)
+    if min(spreads) <= 0.0:  # of noise nothing is seen
+        return True
+    surely = one.surely(chance)
+    longest = _longest(max(int(np.sum(every == 0.0)), 1), len(every))
+    return bool(
+        np.concatenate(one.sizes(off, *spreads[:2])).max() > surely
+        or np.abs(every).max() > surely * spreads[2]
+        or any(np.any(Runs.of(values).length > longest) for values in one.values)
+    )
 
 
 def repeating(masks: Sequence[np.ndarray], outputs: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:

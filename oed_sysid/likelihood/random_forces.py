@@ -269,8 +269,7 @@ def _likeliest_level(
     first = evaluate(problem, Point(at(decade), ()))
     control = StepControl(FEW, MOST_DAMPING)
     descent = Descent(first, evaluate, Convergence(0.5), control, these)
-    if np.isfinite(first.cost):
-        descent.run(FIRST_STEPS)
+    descent.run(FIRST_STEPS)
     return descent.lowest
 
 
@@ -420,24 +419,20 @@ def _joined(
     known: Sequence[Sea] | None = None,
 ) -> Filtered | None:
     """Forces at more places, of the time and size that the score says; None below the price."""
-    new = [place for place in places if place not in found.problem.levels.unit.places]
-    unit = found.problem.levels.unit.with_places(new, 1.0, 1.0)
-
-    def posed_at(noise: NoiseModel) -> Filtered:
-        own = _own_times(found, noise)
-        return posed(found, setting, noise, own_times=own, unit=unit, seas=known)
-
-    noise, least, begin = found.noise, WORTH, None
     if not places:
         return None
-    scored = _scored(found)
-    for time in times:
-        wide = noise.with_places(places, time)
-        gain, variances = scored.gain(posed_at(wide), [f"{place} level" for place in places])
-        if gain >= least:
-            least, begin = gain, noise.with_places(places, time, np.sqrt(variances))
-    if begin is None:
+    noise, unit = found.noise, found.problem.levels.unit
+    new = [place for place in places if place not in unit.places]
+    unit = unit.with_places(new, 1.0, 1.0)
+
+    def score(time: float) -> tuple[float, np.ndarray, float]:
+        wide = posed(found, setting, noise.with_places(places, time), unit=unit, seas=known)
+        return *_scored(found).gain(wide, [f"{place} level" for place in places]), time
+
+    gain, variances, time = max(map(score, times), key=lambda one: one[0])
+    if gain < WORTH:
         return None
+    begin = noise.with_places(places, time, np.sqrt(variances))
     # What joins has the size that the score says.
     sizes = dict(zip(unit.places, unit.force, strict=True))
     sizes |= {p: f for p, f in zip(begin.places, begin.force, strict=True) if p in new and f > 0}
@@ -445,18 +440,13 @@ def _joined(
     # What does not act at first may act for another time.
     asked = (begin.force > 0) | (begin.force_time > 0)
     asked[: len(noise.places)] = True
-    return posed_at(begin.only(asked))
+    return posed(found, setting, begin.only(asked), unit=unit, seas=known)
 
 
 @once_a_fit
 def _scored(found: FilteredSolution) -> Scored:
     """The end of an estimation, at which several parts are asked for."""
     return Scored.at(found)
-
-
-def _own_times(found: FilteredSolution, noise: NoiseModel) -> bool:
-    """Whether forces that act keep times of their own."""
-    return not found.problem.levels.shares_a_time and bool(np.any(noise.force > 0))
 
 
 def _autocorrelated(found: FilteredSolution) -> np.ndarray:
@@ -473,7 +463,7 @@ def autocorrelated_sensors(found: FilteredSolution, setting: Setting) -> Filtere
     noise = found.noise
     # Away from zero, where a level would have no slope in its time.
     noise = replace(noise, colour=np.where(asks, 0.5 * noise.white, noise.colour))
-    return posed(found, setting, noise, has | asks)
+    return posed(found, setting, noise, has | asks, own_times=False)
 
 
 def zeros_of_sensors(found: FilteredSolution, setting: Setting) -> Filtered | None:
@@ -493,7 +483,8 @@ def zeros_of_sensors(found: FilteredSolution, setting: Setting) -> Filtered | No
         if gain < WORTH:
             return None
         sizes = np.sqrt(variances)
-    return posed(found, setting, replace(off, colour=np.maximum(sizes, off.white)))
+    sized = replace(off, colour=np.maximum(sizes, off.white))
+    return posed(found, setting, sized, own_times=False)
 
 
 def _alone(noise: NoiseModel, which: np.ndarray, setting: Setting) -> NoiseModel:
@@ -526,7 +517,7 @@ def without_vanished(found: FilteredSolution, setting: Setting) -> Filtered | No
     if not vanished.any():
         return None
     noise = _alone(noise, vanished, setting)
-    return posed(found, setting, noise, has & ~vanished)
+    return posed(found, setting, noise, has & ~vanished, own_times=False)
 
 
 def noisy_inputs(found: FilteredSolution, setting: Setting) -> Filtered | None:
@@ -551,7 +542,7 @@ def inputs_for_forces(found: FilteredSolution, setting: Setting) -> Filtered | N
         return None
     shown = [most[place] / TWOFOLD for place in inputs]
     alone = noise.only(np.isin(noise.places, setting.known)).with_places(inputs, 0.0, shown)
-    problem = posed(found, setting, alone)
+    problem = posed(found, setting, alone, own_times=False)
     return problem if _more(found, problem) < 0 else None
 
 
@@ -613,8 +604,7 @@ def _waves(found: FilteredSolution, setting: Setting, *, of_each_record: bool = 
         share = np.sqrt(np.divide(size, mean, out=np.ones_like(size), where=mean > 0))
         own = replace(sea.with_levels(sea.level * share), records=met)
         seas.append(_in_phase(own, product) if len(sea.places) > 1 else own)
-    noise = replace(found.noise, seas=tuple(seas))
-    return posed(found, setting, noise, own_times=_own_times(found, noise))
+    return posed(found, setting, replace(found.noise, seas=tuple(seas)))
 
 
 def _in_phase(sea: Sea, product: np.ndarray) -> Sea:
@@ -637,7 +627,7 @@ def without_tails(found: FilteredSolution, setting: Setting) -> Filtered | None:
     if seas[0].phases is None or seas[0].shape == "jonswap" or (known and known.shape):
         return None
     noise = replace(found.noise, seas=tuple(replace(one, shape="jonswap") for one in seas))
-    return posed(found, setting, noise, own_times=_own_times(found, noise))
+    return posed(found, setting, noise)
 
 
 # Parts in the order in which they are asked for, and their prices: noise of inputs that takes the
@@ -777,8 +767,7 @@ def _clearer(sea: FilteredSolution, found: FilteredSolution, setting: Setting) -
     if sea.noise.seas[0].is_broad:
         return False  # as broad as that it is no wave
     # Held over the same shorter steps, these may be as likely.
-    own, most = _own_times(found, found.noise), sea.noise.longest_hold
-    problem = posed(found, setting, found.noise, own_times=own, longest_hold=most)
+    problem = posed(found, setting, found.noise, longest_hold=sea.noise.longest_hold)
     again = moved(found, problem, setting.max_iterations)
     rival = min(again, found, key=lambda one: one.restricted)
     return _fall(rival, sea) - 2.0 * rival.promise >= 2.0 * WORTH
@@ -810,12 +799,12 @@ def _gains_at_sea(
         return tried, gains
     sample = max(record.sample_time for record in found.problem.records)
     scored = cache(lambda count: Scored.at(found, sample / count))
-    own, names = _own_times(found, found.noise), [f"sea {place} level" for place in places]
+    names = [f"sea {place} level" for place in places]
     least = threshold(len(places), len(tried))
 
     def gain(period: float, sea: Sea) -> float:
         noise, known = replace(found.noise, seas=(sea,)), [replace(sea, levels=None)]
-        wide = posed(found, setting, noise, own_times=own, seas=known)
+        wide = posed(found, setting, noise, seas=known)
         # Held over as many steps of a sample as a wave needs: those of one number have one filter.
         steps = int(np.ceil(STEPS_OF_PERIOD * sample / period - 1e-6))
         shown = scored(max(steps, 1)).gain(wide, names)[0]
@@ -918,12 +907,12 @@ def _at_sea(
 
     def again(one: FilteredSolution, noise: NoiseModel, known: Sea, most: int) -> FilteredSolution:
         """Some steps of a race, to where next to nothing is left; ``known`` is of the sea."""
-        problem = posed(one, setting, noise, own_times=_own_times(one, noise), seas=[known])
-        return moved(one, problem, most, NEAR)
+        return moved(one, posed(one, setting, noise, seas=[known]), most, NEAR)
 
     first = found.noise
     # A force of first order and a sea in one place would share its variance: one at a time.
-    alone = first.only([p not in sea.places or p in setting.known for p in first.places])
+    rivals = np.setdiff1d(sea.places, setting.known)
+    alone = first.only(~np.isin(first.places, rivals))
     if known.levels is None:
         sea, _ = _likeliest_sea(found, setting, alone, sea)
     # Everything else first, lest period and width follow its misfit.
@@ -954,13 +943,12 @@ def _likeliest_sea(
     where there are none to those of which the records begin to tell; half a decade follows the
     other up to where they are clearly too large.
     """
-    unit, own = found.problem.levels.unit, _own_times(found, noise)
+    unit = found.problem.levels.unit
     size = np.array([max(found.noise.level(p)[0], unit.level(p)[0]) for p in sea.places])
 
     def objective(one: Sea) -> float:
-        known = [replace(one, levels=None)]
-        wide = replace(noise, seas=(one,))
-        problem = posed(found, setting, wide, own_times=own, seas=known)
+        wide, known = replace(noise, seas=(one,)), [replace(one, levels=None)]
+        problem = posed(found, setting, wide, seas=known)
         return problem.objective(problem.beside(found.point.unknowns).unknowns)
 
     likeliest, least = sea, np.inf

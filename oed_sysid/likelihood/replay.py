@@ -30,9 +30,9 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import OedSysidError
+from oed_sysid.likelihood.departures import slowness
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import solve_filtered
-from oed_sysid.likelihood.information import effective_sample_size
 from oed_sysid.likelihood.laws import posed_again
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import residual_levels
@@ -72,7 +72,9 @@ def replayed(fit: Fit) -> Fit:
     begun = fit.model.with_values({n: v for n, v in fit.nominal.items() if n in fit.model.values})
     ends = (WITHOUT.fit(fit.model, fit.dataset, warm=fit), WITHOUT.fit(begun, fit.dataset))
     white = min(ends, key=lambda end: np.nan_to_num(end.whole_runs.size(noise=noise), nan=np.inf))
-    tempered = replace(WITHOUT, noise=tuple(_levels(white, noise).tolist()))
+    # Standard deviations with which its whole runs tell as much as they do.
+    levels = np.fmax(residual_levels(white.residuals), noise) * [*slowness(white).values()]
+    tempered = replace(WITHOUT, noise=tuple(levels.tolist()))
     tried = _fits(tempered, (fit.model, white.model, begun), fit.dataset)
     calm = min(tried, key=lambda end: end.cost, default=white)
     try:
@@ -99,17 +101,6 @@ def replayed(fit: Fit) -> Fit:
     left = residual_levels(calm.residuals)
     sigma = np.where(left > 0.0, left, calm.sigma)
     return replace(calm, sigma=sigma, noise=replace(calm.noise, white=sigma), purpose="replay")
-
-
-def _levels(fit: Fit, noise: np.ndarray) -> np.ndarray:
-    """Standard deviations with which a fit's whole runs tell as much as they do."""
-    counts = np.ones((2, noise.size))
-    for j, series in enumerate(zip(*(part.T for part in fit.residuals), strict=True)):
-        seen = [one for one in series if np.isfinite(one).any()]
-        if seen:
-            counts[0, j] = sum(np.isfinite(one).sum() for one in seen)
-            counts[1, j] = sum(map(effective_sample_size, seen))
-    return np.fmax(residual_levels(fit.residuals), noise) * np.sqrt(counts[0] / counts[1])
 
 
 def _fits(tempered: MultipleShooting, begun: Iterable[Model], dataset: Dataset) -> Iterator[Fit]:

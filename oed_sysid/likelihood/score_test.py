@@ -38,7 +38,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import MINIMUM_SAMPLES
 from oed_sysid.errors import SimulationError
 from oed_sysid.likelihood.departures import TWOFOLD
-from oed_sysid.likelihood.disturbances import Place, disturbance
+from oed_sysid.likelihood.disturbances import Place
 from oed_sysid.likelihood.filtered import FARTHEST, Filtered, disturbed_model
 from oed_sysid.likelihood.gauss_newton import (
     FROZEN_TOLERANCE,
@@ -181,10 +181,9 @@ class Setting:
     @property
     def disturbances(self) -> tuple[str, ...]:
         """Parameters of the filtered model that may be disturbances."""
-        own = (place for place in self.inputs if place not in self.places)
-        names = (disturbance(place).name for place in (*self.places, *own))
-        of_seas = disturbance_names([place for sea in self.seas for place in sea.places])
-        return tuple(dict.fromkeys((*names, *of_seas)))
+        names = [place.name for place in (*self.places, *self.inputs)]
+        names += [place for sea in self.seas for place in sea.places]
+        return tuple(dict.fromkeys(disturbance_names(names)))
 
     def noise(self, time: float) -> NoiseModel:
         """White noise, and disturbances of zero level."""
@@ -251,18 +250,21 @@ def posed(
     noise: NoiseModel,
     colour: np.ndarray | None = None,
     *,
-    own_times: bool = False,
+    own_times: bool | None = None,
     unit: NoiseModel | None = None,
     seas: Sequence[Sea] | None = None,
     longest_hold: float | None = None,
 ) -> Filtered:
     """The problem of a solution with other levels unknown, begun at a noise model.
 
-    Coloured sensors are by default those of ``noise``; of ``seas`` is unknown what they leave out.
-    Forces are held no longer than the waves of ``noise`` may be, or than ``longest_hold``, s.
+    Coloured sensors are by default those of ``noise``, and forces that act keep times of their own;
+    of ``seas`` is unknown what they leave out. Forces are held no longer than the waves of
+    ``noise`` may be, or than ``longest_hold``, s.
     """
     problem = found.problem
     unit = problem.levels.unit if unit is None else unit
+    if own_times is None:
+        own_times = not problem.levels.shares_a_time and bool(np.any(noise.force > 0))
     levels = setting.levels(problem.dataset, noise, unit, colour, own_times=own_times, seas=seas)
     return problem.posed(levels, longest_hold=longest_hold)
 
@@ -421,8 +423,8 @@ class Start:
     @classmethod
     def at(cls, shooting: Shooting, unknowns: np.ndarray, noise: NoiseModel | None = None) -> Start:
         """Where an estimation with process noise begins, at some unknowns of one without."""
-        states = [shooting.initial_state(unknowns, i) for i in range(len(shooting.records))]
-        return cls(shooting.model.values, states, shooting.layout.local_values(unknowns), noise)
+        states, local = shooting.initial_states(unknowns), shooting.layout.local_values(unknowns)
+        return cls(shooting.model.values, states, local, noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -491,15 +493,12 @@ def _score_at(setting: Setting, start: Start, dataset: Dataset, time: float) -> 
     levels = levels.only(levels.are_variances)
     problem, unknowns = setting.problem(start, levels, dataset)
     found = problem.passes(unknowns, levels_only=True)
-    vast = ScoreTest(np.inf, quiet, one)
-    if not all(part.ok for part in found):
-        return vast
     count, block = len(levels), problem.layout.levels
     with np.errstate(over="ignore", invalid="ignore"):
         matrix, right = problem.gathered(unknowns, found)
     matrix, right = matrix[block, block], right[block]
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
-        return vast
+        return ScoreTest(np.inf, quiet, one)
     white = np.zeros(count, dtype=bool)
     white[n_forces : n_forces + n_outputs] = True
     # White levels may fall to make room, as far as in a step, and rise where nobody declared them.

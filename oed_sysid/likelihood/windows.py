@@ -373,12 +373,11 @@ def climb(shooting: Shooting, unknowns: np.ndarray, n_samples: int) -> np.ndarra
         Length of a window.
     """
     problem = Windows.apart(shooting, unknowns, n_samples)
-    begin = problem.at(problem.start)
-    if not np.isfinite(begin.cost):
-        return unknowns
     # The way in only has to arrive nearby: it ends with an iteration that gains less than a share.
-    descent = Descent(begin, Windows.at, Convergence(0.0, share=0.01), CAREFUL)
-    descent.run(30)
+    enough = Convergence(0.0, share=0.01)
+    descent = Descent(problem.at(problem.start), Windows.at, enough, CAREFUL)
+    if descent.run(30) == "diverged":
+        return unknowns
     found = descent.now.point.unknowns.copy()
     n_own = shooting.layout.n_own
     for part, node in zip(problem.windows, descent.now.point.nodes, strict=True):
@@ -444,9 +443,6 @@ def solve_windows(
         See :func:`oed_sysid.likelihood.gauss_newton.solve`.
     """
     problem = Windows.overlapping(shooting, horizon, point.unknowns)
-    begin = problem.at(problem.start)
-    if not np.isfinite(begin.cost):
-        return Solution(begin, 0, "diverged")
-    descent = Descent(begin, Windows.at, Convergence(tolerance), CONTROL)
+    descent = Descent(problem.at(problem.start), Windows.at, Convergence(tolerance), CONTROL)
     reason = descent.run(max_iterations, callback=callback)
-    return Solution(descent.now, descent.steps + 1, reason)
+    return Solution(descent.now, descent.steps + (reason != "diverged"), reason)
