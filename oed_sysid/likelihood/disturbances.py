@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 from oed_sysid.errors import ModelError
 from oed_sysid.physics import Actuator, Effect, Environment, Force, Sensor
+from oed_sysid.physics.base import RandomProcess
 from oed_sysid.physics.channels import Input
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
@@ -88,6 +89,11 @@ def places(model: Model) -> tuple[Place, ...]:
 def commands(model: Model) -> list[Place]:
     """Places of the commands: what acts there may be another one than was logged."""
     return [place for place in places(model) if place.stage == "actuator"]
+
+
+def declared_noise(model: Model) -> list[RandomProcess]:
+    """Process noise that a model's own effects state."""
+    return [effect.noise for effect in model.effects if effect.noise is not None]
 
 
 def equation_units(model: Model) -> dict[str, str]:

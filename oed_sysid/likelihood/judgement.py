@@ -76,14 +76,13 @@ from oed_sysid.likelihood.departures import (
     estimate_departures,
     outputs_of,
 )
-from oed_sysid.likelihood.disturbances import commands
+from oed_sysid.likelihood.disturbances import commands, declared_noise
 from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate, once_a_fit
 from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
 from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.integration import step_change
 from oed_sysid.likelihood.laws import departures_beside, laws_of, loss_without, posed_again
 from oed_sysid.physics.parameters import Parameter
-from oed_sysid.physics.unknown import random_effects
 from oed_sysid.runtime.constants import BEYOND, IMMATERIAL, MATERIAL, NEGLIGIBLE
 from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
 from oed_sysid.text.units import shown_unit
@@ -524,7 +523,7 @@ def _inputs(fit: Estimate) -> Iterator[Found]:
     Noise that the outputs do not ask for is none. Where it was estimated beside forces it explains
     what these do not; where in their place, they explain as much, and nothing tells which acts.
     """
-    known = {effect.noise.place for effect in random_effects(fit.model.effects) if effect.noise}
+    known = {process.place for process in declared_noise(fit.model)}
     logged = {place.name: place.channel for place in commands(fit.model)}
     names, rng = fit.model.input_names, np.random.default_rng(0)
     for place, level in zip(fit.noise.places, fit.noise.force, strict=True):

@@ -18,7 +18,7 @@ from oed_sysid.likelihood.departures import (
     clear_starts,
     estimate_departures,
 )
-from oed_sysid.likelihood.disturbances import Place, chosen_places, commands
+from oed_sysid.likelihood.disturbances import Place, chosen_places, commands, declared_noise
 from oed_sysid.likelihood.estimate import ProcessNoiseTest
 from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.fit import Fit
@@ -28,17 +28,8 @@ from oed_sysid.likelihood.judgement import concerns_of, with_verdict
 from oed_sysid.likelihood.laws import posed_again
 from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, forces_in, seas_in
 from oed_sysid.likelihood.nonlinear_program import constrained, solve_constrained, solve_within
-from oed_sysid.likelihood.random_forces import (
-    FIRST_STEPS,
-    Start,
-    fit_disturbed,
-    sea_beside_white,
-)
-from oed_sysid.likelihood.score_test import (
-    ScoreTest,
-    Setting,
-    score_test,
-)
+from oed_sysid.likelihood.random_forces import FIRST_STEPS, Start, fit_disturbed, sea_beside_white
+from oed_sysid.likelihood.score_test import ScoreTest, Setting, score_test
 from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
 from oed_sysid.likelihood.smoother import outlying
 from oed_sysid.likelihood.start_guess import check_channels
@@ -47,7 +38,6 @@ from oed_sysid.likelihood.unknowns import KnownStarts, StartState
 from oed_sysid.likelihood.windows import check_horizon, solve_windows, wide_start
 from oed_sysid.physics.base import RandomProcess
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.unknown import random_effects
 from oed_sysid.runtime.constants import MATERIAL, ROUNDING, TOLD_APART
 from oed_sysid.runtime.threads import one_thread
 
@@ -317,13 +307,13 @@ class MultipleShooting:
 
     def _wants_process_noise(self, model: Model, dataset: Dataset) -> bool:
         """Whether process noise is to be tested for or estimated."""
-        asked = self.disturbances != "none" or bool(random_effects(model.effects))
+        asked = self.disturbances != "none" or bool(declared_noise(model))
         series = not all(record.independent for record in dataset)
         return asked and series and self.horizon is None and not self._white_only
 
     def _tests(self, model: Model) -> bool:
         """Whether the records decide if process noise acts, and nobody has asked for it."""
-        return self.disturbances == "auto" and not random_effects(model.effects)
+        return self.disturbances == "auto" and not declared_noise(model)
 
     def _without_process_noise(self, task: _Task, point: Point, *, wanted: bool) -> Solution:
         """Iterations and levels of white noise; they end early where process noise may follow."""
@@ -422,7 +412,7 @@ class MultipleShooting:
             The one with process noise; None where none acts, or its estimation failed.
         """
         model = task.shooting.model
-        declared = _declared(model)
+        declared = declared_noise(model)
         places, tests = self._places(model, declared), self._tests(model)
         if places is None:
             return fit, None
@@ -470,7 +460,6 @@ class MultipleShooting:
         floor, _ = noise_levels.credible_levels(fit.dataset)
         model, estimated = task.shooting.model, task.how.estimated
         chosen = self.disturbances not in ("auto", "all")
-        seas = seas_in(self.disturbances)
         return Setting(
             model,
             fit.dataset,
@@ -480,8 +469,8 @@ class MultipleShooting:
             logged=() if chosen else commands(model),
             known=[process.place for process in declared if process.known],
             known_starts=task.shooting.known_starts,
-            seas=seas,
-            any_sea=not seas,
+            seas=seas_in(self.disturbances),
+            any_sea=True,
             any_zero=True,
             max_iterations=self.solver.max_iterations,
         )
@@ -799,11 +788,6 @@ def with_levels(model: Model, noise: NoiseModel | None) -> Model:
             effect = replace(effect, noise=replace(process, level=level, time=time))
         effects.append(effect)
     return replace(model, effects=tuple(effects))
-
-
-def _declared(model: Model) -> list[RandomProcess]:
-    """Process noise that a model's own effects state."""
-    return [e.noise for e in random_effects(model.effects) if e.noise is not None]
 
 
 def _declared_levels(noise: NoiseModel, declared: Sequence[RandomProcess]) -> NoiseModel:

@@ -40,11 +40,7 @@ from oed_sysid.errors import SimulationError
 from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.disturbances import Place
 from oed_sysid.likelihood.filtered import FARTHEST, Filtered, disturbed_model
-from oed_sysid.likelihood.gauss_newton import (
-    FROZEN_TOLERANCE,
-    FilteredSolution,
-    solve_filtered,
-)
+from oed_sysid.likelihood.gauss_newton import FROZEN_TOLERANCE, FilteredSolution, solve_filtered
 from oed_sysid.likelihood.noise_levels import credible_levels, shown_in_log
 from oed_sysid.likelihood.noise_model import (
     Levels,

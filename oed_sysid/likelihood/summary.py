@@ -8,12 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.likelihood.covariance import (
-    Errors,
-    ReducedFilter,
-    ReducedProblem,
-    errors_of_windows,
-)
+from oed_sysid.likelihood.covariance import Errors, ReducedFilter, ReducedProblem, errors_of_windows
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import SAYS, Fit
