@@ -83,7 +83,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from oed_sysid.compiled.compile import call, doubles, load
 from oed_sysid.compiled.graph import DIVERGED
-from oed_sysid.compiled.interpreter import Commands, chained, interpreted
+from oed_sysid.compiled.interpreter import chained, interpreted
 from oed_sysid.compiled.kernels import Kernel, Run
 from oed_sysid.errors import ModelError
 from oed_sysid.physics.model import Model
@@ -587,11 +587,6 @@ class Along:
             object.__setattr__(self, name, *doubles(getattr(self, name)))
 
     @property
-    def record(self) -> Commands:
-        """Times and inputs."""
-        return self.times, self.inputs
-
-    @property
     def steps(self) -> Steps:
         """Steps over which disturbances are held."""
         return steps_along(self.times.tobytes(), self.longest_step)
@@ -672,9 +667,9 @@ class InterpretedFilter:
     """
 
     def __init__(self, model: Model, along: Along, z0: np.ndarray, kept: np.ndarray) -> None:
-        self.code, self.noise = interpreted(model), along.noise
+        self.code, self.noise, noise = interpreted(model), along.noise, along.noise
         self.longest_step = along.steps.longest
-        self.record, self.measured, noise = along.record, along.measured, along.noise
+        self.record, self.measured = (along.times, along.inputs), along.measured
         self.z, self.values, self.kept = z0.copy(), along.values.copy(), kept
         self.position = [model.parameter_names.index(name) for name in noise.disturbances]
         free = [model.free_names.index(name) for name in noise.disturbances]

@@ -820,14 +820,10 @@ class Levels:
         ----------
         dropped : ndarray of bool (n_forces,)
         """
-        none_left = bool(np.all(dropped | (self.noise.force == 0)))
-        keep = [
-            not (
-                (kind == FORCE_VARIANCE and dropped[index])
-                or (kind == FORCE_TIME and (none_left if index < 0 else dropped[index]))
-            )
-            for kind, index in self.entries
-        ]
+        # A time that all share, of index -1, goes with the last of them.
+        gone = np.append(dropped, np.all(dropped | (self.noise.force == 0)))
+        of_forces = (FORCE_VARIANCE, FORCE_TIME)
+        keep = [not (kind in of_forces and gone[index]) for kind, index in self.entries]
         noise = replace(self.noise, force=np.where(dropped, 0.0, self.noise.force))
         return replace(self.only(keep), noise=noise)
 

@@ -396,12 +396,9 @@ class WholeRuns:
         """
         if side < 0 and self.follows is not None:
             return []
-        return [
-            one.output
-            for one in self.outputs
-            if (self.process_noise and side * one.z > WORTH_TELLING * BEYOND)
-            or (not self.process_noise and side > 0 and one.z > BEYOND and one.declared)
-        ]
+        if self.process_noise:
+            return [o.output for o in self.outputs if side * o.z > WORTH_TELLING * BEYOND]
+        return [o.output for o in self.outputs if side > 0 and o.z > BEYOND and o.declared]
 
     @property
     def objections(self) -> tuple[str, ...]:
