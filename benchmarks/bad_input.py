@@ -10,7 +10,7 @@ import re
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,10 +36,10 @@ def csv_message(content: str | bytes) -> str:
         return "Note: " + " ".join(str(one.message) for one in noted) if noted else ""
 
 
-def problem_message(source: str | dict[str, str | bytes]) -> str:
+def problem_message(files: Mapping[str, str | bytes]) -> str:
     """What is said about a problem folder when it is loaded; empty if nothing."""
     with tempfile.TemporaryDirectory() as folder:
-        place = folder_of(Path(folder).resolve() / "ferry", source)
+        place = folder_of(Path(folder).resolve() / "ferry", files)
         try:
             load_problem(place)
         except OedSysidError as error:
@@ -70,7 +70,7 @@ def sections() -> dict[str, str]:
     return {
         "CSV files": table((kind, csv_message(content)) for kind, content, _ in NOTED_AND_REFUSED),
         "problem folders": table(
-            (kind, problem_message(source)) for kind, source, _ in problem_files.REFUSED
+            (kind, problem_message(files)) for kind, files, _ in problem_files.REFUSED
         ),
     }
 

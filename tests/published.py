@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
+from tables import tables
 
-PUBLISHED = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+PUBLISHED = tables(__file__)

@@ -229,14 +229,14 @@ def test_sound_problem_loads(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("source", "words"), [one[1:] for one in REFUSED], ids=[one[0] for one in REFUSED]
+    ("files", "words"), [one[1:] for one in REFUSED], ids=[one[0] for one in REFUSED]
 )
 def test_refused_when_loaded(
-    tmp_path: Path, source: str | dict[str, str | bytes], words: tuple[str, ...]
+    tmp_path: Path, files: dict[str, str | bytes], words: tuple[str, ...]
 ) -> None:
     """A faulty folder ends in a ProblemError that names the file and what is wrong."""
     with pytest.raises(ProblemError) as caught:
-        load_problem(folder_of(tmp_path / "ferry", source))
+        load_problem(folder_of(tmp_path / "ferry", files))
     message = str(caught.value)
     assert "ferry" in message
     # A user sees the own file, not the inside of the package.

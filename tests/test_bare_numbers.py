@@ -1,15 +1,15 @@
 """Models whose expressions hold bare numbers: read with a note, refused only where nothing helps.
 
-Seven folders as people write them stand in ``bare_numbers.toml``.
+Seven folders as people write them stand in ``test_bare_numbers.toml``.
 """
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tables import tables
 
 from oed_sysid import load_problem
 from oed_sysid.errors import ModelError, ProblemError
@@ -18,7 +18,7 @@ from oed_sysid.text.dimensions import Deduction, dimension_of
 from oed_sysid.text.units import Dimension, dimension
 
 HEAD = "from oed_sysid import Force, Input, Model, Output, Parameter, Problem, Sensor, State\n"
-FOLDERS = tomllib.loads(Path(__file__).with_name("bare_numbers.toml").read_text(encoding="utf-8"))
+FOLDERS = tables(__file__)
 SHIP, FLOAT = (FOLDERS[kind]["text"] for kind in ("ship", "float"))
 
 

@@ -99,7 +99,7 @@ def test_unknown_name_gets_near_matches_and_advice(shipped: Path) -> None:
     with pytest.raises(ProblemError, match="there is no folder /no/where"):
         load_problem("/no/where")
     with pytest.raises(ProblemError, match="is a file"):
-        load_problem(Path(__file__).with_name("bare_numbers.toml"))
+        load_problem(Path(__file__).with_name("published.toml"))
 
 
 def test_variants_change_what_is_believed() -> None:
