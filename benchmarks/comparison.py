@@ -10,7 +10,6 @@ be stopped, resumed and enlarged; docs/comparison.md and its picture are written
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from itertools import product
@@ -30,6 +29,7 @@ from benchmarks.harness import (
     run_cases,
     write_page,
 )
+from benchmarks.tables import tables
 from oed_sysid.baselines.benchmark import DETERMINED, logarithms_of_ratios
 from oed_sysid.baselines.contest import (
     BELIEVERS,
@@ -52,7 +52,7 @@ STORE = Store(
     lambda row: (row["problem"], row["world"], row["seed"], *sorted(row["runs"])),
 )
 NOISE = 1.0  # per cent of the peak
-DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+DATA = tables(__file__)
 SYSTEMS, ACTING, ESTIMATORS = (DATA[part] for part in ("systems", "acting", "estimators"))
 # Who is told as much, by what our default is then called: start values to 50 %; the true start
 # state of a single run, and a region.

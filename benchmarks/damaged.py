@@ -30,14 +30,7 @@ from oed_sysid.runtime.constants import TABLE_BYTES
 
 sys.path.insert(0, str(ROOT / "tests"))
 
-from log_writers import (
-    Voyage,
-    write_bag,
-    write_dataflash,
-    write_mcap,
-    write_nmea,
-    write_ulog,
-)
+from log_writers import Voyage, write_bag, write_dataflash, write_mcap, write_nmea, write_ulog
 
 LIMIT = 10  # s of computing
 FORMATS = {

@@ -11,16 +11,15 @@ sea. Priors are ignored, start states are unknown.
 from __future__ import annotations
 
 import time
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import radians
-from pathlib import Path
 
 import numpy as np
 
 from benchmarks.harness import command, known
 from benchmarks.other_vehicles.models import modelled
+from benchmarks.tables import tables
 from oed_sysid import (
     AOptimal,
     DOptimal,
@@ -128,8 +127,7 @@ def nps() -> System:
 
 def mariner() -> System:
     """Mariner-class ship: Abkowitz form, fourteen coefficients free."""
-    path = Path(__file__).with_name("mariner.toml")
-    model = modelled(tomllib.loads(path.read_text(encoding="utf-8")))
+    model = modelled(tables(__file__, "mariner"))
     return System(
         model, "rudder", "psi", -1, radians(5), 600.0, 2.0, {"u": 7.7175}, {}, {},
         Limits({"rudder": (-radians(20), radians(20))}, {"rudder": radians(5)},

@@ -24,8 +24,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from benchmarks.harness import ROOT, command, markdown, named, write_page
-from oed_sysid import Dataset, Model, MultipleShooting, Record, load_problem
-from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid import Dataset, Model, MultipleShooting, Record, load_problem, simulate_inputs
 
 PAGE = ROOT / "docs" / "extrapolation.md"
 WHITE = MultipleShooting(disturbances="none")
@@ -99,7 +98,7 @@ def simulated(
             run = simulate_inputs(at, log.times, inputs=log.inputs, initial={})
             noisy = run.outputs + levels * rng.standard_normal(run.outputs.shape)
             runs.append(Record(log.name, log.times, log.inputs, noisy, model.channels))
-        fit = WHITE.fit(model, Dataset(tuple(runs)))
+        fit = WHITE.fit(model, Dataset(runs))
         errors.append(fit.estimates - true)
         sizes.append([[own[n] for n in names] for own in (fit.std_errors, fit.record_errors)])
         told += any(concern.kind == "records_differ" for concern in fit.concerns)

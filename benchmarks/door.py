@@ -13,7 +13,6 @@ the truth. What it asks to be confirmed counts as asked, whether the guess is ri
 from __future__ import annotations
 
 import tempfile
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -23,6 +22,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from benchmarks.harness import command, markdown
+from benchmarks.tables import tables
 from oed_sysid.data.formats import open_log
 from oed_sysid.data.log import Log
 from oed_sysid.data.recognise import Recognised, recognise
@@ -107,7 +107,7 @@ def diver(rng: np.random.Generator) -> tuple[np.ndarray, dict[str, np.ndarray]]:
 
 # -- loggers -----------------------------------------------------------------------------
 
-DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+DATA = tables(__file__)
 SI, UNITS, SPREAD, NAMES = (DATA[part] for part in ("si", "units", "spread", "names"))
 YAW = ("yaw", "Gier", "lacet", "guiñada", "imbardata")
 CLOCKS = ("s", "ms", "clock", "iso", "german", "epoch", "epoch ms", "min")

@@ -24,18 +24,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import (
-    ONE_THREAD,
-    ROOT,
-    Row,
-    dive,
-    ignorant,
-    scaled,
-)
+from benchmarks.harness import ONE_THREAD, ROOT, Row, dive, ignorant, scaled
 from benchmarks.peers.fits import STEP
 from benchmarks.truth import NAMES
-from oed_sysid import Dataset, Fit, MultipleShooting, load_problem
-from oed_sysid.physics.model import Model
+from oed_sysid import Dataset, Fit, Model, MultipleShooting, load_problem
 
 N_SAMPLES, LONGEST = 2400, 240.0
 STARTS = (0.7, 0.97)  # over the true values

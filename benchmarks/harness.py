@@ -27,8 +27,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from benchmarks.truth import NOISE
-from oed_sysid import Dataset, Model, Record
-from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid import Dataset, Model, Record, simulate_inputs
 from oed_sysid.runtime.files import write_text
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -455,7 +454,7 @@ def _said(text: str) -> Iterator[tuple[str, str]]:
 
 def named(records: Iterable[Record], kind: str) -> Dataset:
     """Records whose names begin with a word."""
-    return Dataset(tuple(record for record in records if record.name.startswith(kind)))
+    return Dataset(record for record in records if record.name.startswith(kind))
 
 
 def ignorant(model: Model) -> Model:

@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,48 +38,41 @@ class Work:
 
     Parameters
     ----------
-    words : tuple of str
-        What is killed; ``{folder}`` stands for the folder.
-    begin : tuple of str
+    words : str
+        What is killed; ``{folder}`` stands for the folder, ``{records}`` for that of records.
+    begin : str
         What makes the state that it begins with; empty where there is none.
-    after : tuple of str
+    after : str
         What answers from the state alone, where what is killed cannot be called twice.
     """
 
-    words: tuple[str, ...]
-    begin: tuple[str, ...] = ()
-    after: tuple[str, ...] = ()
+    words: str
+    begin: str = ""
+    after: str = ""
 
 
-def journalled(*words: str) -> Work:
+def journalled(words: str) -> Work:
     """A command with a journal, and its result as JSON."""
-    return Work((*words, "--json", "{folder}/result.json", "--journal", "{folder}/journal"))
+    return Work(f"{words} --json {{folder}}/result.json --journal {{folder}}/journal")
 
 
-WORKS: Mapping[str, Work] = {
+WORKS = {
     "improve": journalled(
-        "improve", "remus_diving_plane", str(RECORDS / "train_steps.csv"),
-        str(RECORDS / "train_zigzag_10_10.csv"), "--validate", str(RECORDS / "test_steps.csv"),
+        "improve remus_diving_plane {records}/train_steps.csv {records}/train_zigzag_10_10.csv "
+        "--validate {records}/test_steps.csv"
     ),
-    "design": journalled(
-        "design", "auv_diving_plane", "--duration", "90", "--effort", "thorough",
-        "--certainty", "0.9",
-    ),
+    "design": journalled("design auv_diving_plane --duration 90 --effort thorough --certainty 0.9"),
     "campaign": Work(
-        ("campaign", "{folder}", "--record", str(RECORDS / "train_steps.csv")),
-        ("campaign", "{folder}", "--problem", "remus_diving_plane", "--goal", "all=5",
-         "--hours", "2"),
-        ("campaign", "{folder}", "--json", "{folder}.json"),
+        "campaign {folder} --record {records}/train_steps.csv",
+        "campaign {folder} --problem remus_diving_plane --goal all=5 --hours 2",
+        "campaign {folder} --json {folder}.json",
     ),
     "benchmark": Work(
-        ("benchmark", "estimators", "--problems", "nomoto_sparse_heading", "--noise", "1",
-         "--seeds", "2", "--estimators", "multiple_shooting", "ekf", "--out", "{folder}"),
+        "benchmark estimators --problems nomoto_sparse_heading --noise 1 --seeds 2 "
+        "--estimators multiple_shooting ekf --out {folder}"
     ),
-    "fit, saved": Work(
-        ("fit", "remus_diving_plane", str(RECORDS / "train_steps.csv"), "--save",
-         "{folder}/fit.json"),
-    ),
-}  # fmt: skip
+    "fit, saved": Work("fit remus_diving_plane {records}/train_steps.csv --save {folder}/fit.json"),
+}
 
 
 def killed(work: Work, *, kills: int, rng: np.random.Generator) -> Row:
@@ -151,8 +144,8 @@ def _struck(
     return False
 
 
-def _called(words: Sequence[str], folder: Path) -> subprocess.Popen[bytes]:
-    told = [word.format(folder=folder) for word in words]
+def _called(words: str, folder: Path) -> subprocess.Popen[bytes]:
+    told = [word.format(folder=folder, records=RECORDS) for word in words.split()]
     full = [sys.executable, "-m", "oed_sysid.cli", *told]
     return subprocess.Popen(full, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 

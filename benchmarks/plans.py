@@ -173,7 +173,7 @@ def bias_of(key: str, name: str, variant: str | None, run: str | None) -> Row:
         assumed={n: WRONG * size for n, size in sizes.items()},
         largest_error=ASSUMED,
     )  # fmt: skip
-    data = Dataset(tuple(simulate(model, one, noise=False) for one in runs))
+    data = Dataset(simulate(model, one, noise=False) for one in runs)
     stated, fitted = [], []
     for place in found.places:
         # What nobody would notice is not compared.

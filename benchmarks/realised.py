@@ -126,7 +126,7 @@ def repetition(
 ) -> Row:
     """One fit: its errors beside those stated."""
     rng = np.random.default_rng([facts["seed"], facts["number"]])
-    data = Dataset(tuple(repeated(model, run, noise, rng, facts["number"]) for run in runs))
+    data = Dataset(repeated(model, run, noise, rng, facts["number"]) for run in runs)
     # Of a swell that was planned for is known that it acts, as `campaign` knows it.
     fit = MultipleShooting(disturbances=Sea() if noise.seas else "auto").fit(model, data)
     truth = np.array([model.values[name] for name in model.free_names])

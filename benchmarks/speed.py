@@ -230,7 +230,7 @@ def records(model: Model, outputs: tuple[str, ...]) -> tuple[Model, Dataset]:
         run = simulate_inputs(model, times, inputs=inputs, initial=START)
         noisy = run.outputs + NOISE * rng.standard_normal(run.outputs.shape)
         result.append(Record(f"r{index}", times, run.inputs, noisy[:, columns], part.channels))
-    return part, Dataset(tuple(result))
+    return part, Dataset(result)
 
 
 def fit_speed() -> Iterator[Measured]:

@@ -14,7 +14,6 @@ certified, that is said to be adequate, or a disturbance, without a word about t
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -25,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Row
+from benchmarks.tables import tables
 from benchmarks.truth import gauss_markov, runge_kutta
 from oed_sysid import (
     Dataset,
@@ -49,7 +49,7 @@ from oed_sysid.experiments.simulation import simulate
 Signals = dict[str, np.ndarray]
 Shape = Callable[[Signals, np.ndarray], np.ndarray]
 SAMPLES, FINER = 900, 5
-DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+DATA = tables(__file__)
 HIDDEN_EFFECTS = Path(os.environ.get("OED_SYSID_DATA", ".")) / "hidden_effects"
 
 # -- kinematics of the vehicles; their dynamics the check does not use ---------------------
@@ -412,7 +412,7 @@ def written(
             spoil.make(log, t, size, k)
         outputs = np.column_stack([log[n] for n in craft.units])
         records.append(Record(f"run_{k}", t, np.zeros((SAMPLES, 1)), outputs, channels))
-    return Dataset(tuple(records))
+    return Dataset(records)
 
 
 def judged(craft: Craft, seed: int, spoil: Spoil, size: float) -> tuple[bool, bool, bool, str]:
@@ -494,7 +494,7 @@ def inputs(seeds: range) -> list[Row]:
                 spoilt = np.array(run.inputs)
                 spoilt[:, 0] = INPUTS[kind](run.times, spoilt[:, 0])
                 runs.append(replace(run, inputs=spoilt))
-            found = check(Dataset(tuple(runs)), problem)
+            found = check(Dataset(runs), problem)
             mine = {*problem.model.input_names}
             every = [one for one in found.findings if one.suspect or mine & {*one.signals}]
             said.append("; ".join(one.name + " (note)" * (not one.suspect) for one in every) or "-")
@@ -555,7 +555,7 @@ def spoil(data: Dataset, name: str) -> Dataset:
         one.make(signals, record.times, one.sizes[0], k)
         parts = (np.column_stack([signals[n] for n in kind]) for kind in names)
         records.append(replace(record, **dict(zip(("inputs", "outputs"), parts, strict=True))))
-    return Dataset(tuple(records))
+    return Dataset(records)
 
 
 def named_as(found: LogCheck, name: str) -> bool:

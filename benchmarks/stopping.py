@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import RESULTS, TWO_SIDED_95, Row, Store, grouped, study, tabulate
-from oed_sysid import Dataset, Limits, Model, MultipleShooting, improve, load_problem
+from oed_sysid import Dataset, Limits, Model, MultipleShooting, OedSysidError, improve, load_problem
 from oed_sysid.design import (
     Budget,
     Candidate,
@@ -35,7 +35,6 @@ from oed_sysid.design import (
     design_programme,
     goals_of,
 )
-from oed_sysid.errors import OedSysidError
 from oed_sysid.information import sea_noise
 from oed_sysid.likelihood.realisation import simulate_at_sea
 

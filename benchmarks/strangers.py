@@ -28,16 +28,7 @@ from benchmarks.harness import RESULTS, TWO_SIDED_95, Row, Store, grouped, study
 from benchmarks.other_vehicles.judge import DETECTABLE
 from benchmarks.rates import judged, nothing_else, share, summary
 from benchmarks.truth import gauss_markov, runge_kutta
-from oed_sysid import (
-    Dataset,
-    Force,
-    Input,
-    Model,
-    Output,
-    Parameter,
-    Record,
-    State,
-)
+from oed_sysid import Dataset, Force, Input, Model, Output, Parameter, Record, State
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.physics import Effect, forces, signals
 
@@ -378,7 +369,7 @@ def judge(seed: int, number: int, limit: float) -> Row:
         ]
         return {"remains": found.remains.kind, "inside": inside}
 
-    data = Dataset(tuple(train)), Dataset((last,))
+    data = Dataset(train), Dataset((last,))
     return judged(entry, model, data, offered, against_truth, limit=limit)
 
 

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from tables import tables
+from benchmarks.tables import tables
 
 PUBLISHED = tables(__file__)

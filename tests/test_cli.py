@@ -15,6 +15,7 @@ from commands import told
 from marks import slow
 from plain_pages import plain_pages  # noqa: F401
 
+from benchmarks.tables import tables
 from oed_sysid import Fit, load_problem, new_problem, replayed, simulate, write_csv
 from oed_sysid.cli import BAD_INPUT, DONE, NO_RESULT, SUSPECT, UNEXPECTED, main
 from oed_sysid.cli.arguments import spread
@@ -23,6 +24,7 @@ from oed_sysid.cli.terminal import answer
 from oed_sysid.errors import DataError, FileError, ProblemError
 from oed_sysid.runtime.files import check_place, make_folder, write_text
 
+TABLES = tables(__file__)
 NOMOTO = """
 from oed_sysid import Experiment, Input, Model, Output, Parameter, Problem, State
 from oed_sysid.experiments.manoeuvres import ZigZag
@@ -52,23 +54,7 @@ def _ferry(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        ("--with a b --limit c", "--with a --with b --limit c"),
-        ("--with a --with b", "--with a --with b"),
-        ("P --with a b --json o x", "P --with a --with b --json o x"),
-        ("--with --limit c", "--with --limit c"),
-        ("--with a -- P b", "--with a -- P b"),
-        ("--with=a b", "--with=a b"),
-        ("--with a - b", "--with a --with - --with b"),
-        ("P --train a b --json o", "P a b --json o"),
-        ("P --train=a b --limit c d", "P a b --limit c --limit d"),
-        ("--with a --records b", "--with a b"),
-        ("P --with a --test b c", "P --with a --limit b --limit c"),
-        ("P --test=a", "P --limit=a"),
-    ],
-)
+@pytest.mark.parametrize(("given", "expected"), TABLES["spread"].items())
 def test_values_after_one_option_are_spread(given: str, expected: str) -> None:
     """An option in front of several values is repeated before each, and nothing else changes."""
     older = {"--train": "", "--records": "", "--test": "--limit"}
@@ -278,73 +264,7 @@ def names(folder: Path) -> set[str]:
 
 
 A_FILE = "afile' is a file where a folder is needed. Move it away"
-BELOW_A_FILE = (
-    f"check {SHIP} log.csv --fix afile",
-    f"check {SHIP} log.csv --fix afile/copies",
-    f"simulate {SHIP} --out afile/runs/",
-    f"simulate {SHIP} --experiment zigzag_15_15 --out afile/x.csv",
-    "import log.csv --map no.toml --out afile",
-    f"design {SHIP} --out afile/x.csv",
-    f"design {SHIP} --bag afile/bag",
-    f"programme {SHIP} --runs 2 --out afile",
-    f"campaign afile/trial --problem {SHIP} --goal all=5",
-    f"fit {SHIP} log.csv --save afile/fit.json",
-    f"fit {SHIP} log.csv --journal afile",
-    f"improve {SHIP} log.csv --save afile/fit.json",
-    f"diagnose {SHIP} log.csv --html afile/page.html",
-    f"rank {SHIP} --json afile/rank.json",
-    "report no.json --out afile/report.html",
-    "new afile/boat",
-)
-QUICK = "--patterns zigzag_10_10 --duration 60 --rounds 0"
-REFUSED = (
-    *((line, A_FILE) for line in BELOW_A_FILE),
-    (f"fit {SHIP} log.csv --save folder", "it is a folder. Give a file in it"),
-    (f"design {SHIP} --html folder", "it is a folder. Give a file in it"),
-    (f"fit {SHIP} log.csv --picture x.gif", "Choose .png, .pdf, .svg"),
-    (f"simulate {SHIP} --picture picture", "does not end as a picture does"),
-    (f"design {SHIP} --card x.doc", "Choose .txt, .html, .pdf"),
-    (f"simulate {SHIP} --out /proc/there/", "/proc"),
-    (f"design {SHIP} --json /proc/there/x.json", "nothing can be made in '/proc'"),
-    (f"check {SHIP} log.csv --fix /proc/there", "nothing can be made in '/proc'"),
-    ("problems {ship} --json {ship}", "cannot be written"),
-    (f"check {SHIP} log.csv --fix .", "overwrite"),
-    ("fit nowhere a.csv", "no problem 'nowhere'"),
-    ("fit {ship} missing.csv", "missing.csv"),
-    ("simulate {ship} --experiment zigzag_30", "zigzag_10"),
-    ("problems {ship} --model big", "no model 'big'"),
-    ("fit remus_diving_plane", "Missing argument"),
-    ("fit remus_diving_plane a.csv --nonsense", "--nonsense"),
-    (f"simulate {SHIP} --seed -3", "--seed"),
-    (f"design {SHIP} --seed -1", "--seed"),
-    (f"programme {SHIP} --seed -1", "--seed"),
-    ("design remus_diving_plane --duration 0", "ten samples or more"),
-    ("design auv_diving_plane --max-finn 10", "--max-fin-rate"),
-    ("design {ship} --criterion Q", "has D, A, E"),
-    ("design {ship} --family sines", "has levels"),
-    ("design {ship} --avoid 0.1:0.2", "add --family multisine"),
-    ("design {ship} --family multisine --avoid 0.1", "write bands as 0.1:0.2"),
-    ("design {ship} --effort huge", "has quick"),
-    ("design {ship} --like spiral", "no experiment 'spiral'"),
-    ("design {ship} --discriminate wind", "no candidate 'wind'"),
-    ("design {ship} --detect wind", "no candidate 'wind'"),
-    ("design {ship} --discriminate a --detect b", "one run has one aim"),
-    ("design {ship} --overrides o.csv", "needs the channels"),
-    ("design {ship} --controller ardupilot=o.lua", "needs the channels"),
-    ("design {ship} --controller plc=o.txt", "write KIND=FILE"),
-    ("design {ship} --overrides o.csv --servo fin=1", "an input with a range: rudder"),
-    (f"programme {{ship}} {QUICK}", "--hours and --runs"),
-    (f"programme {{ship}} --runs 2 --sea wild {QUICK}", "Say still"),
-    (f"programme {{ship}} --runs 2 --criterion Q {QUICK}", "has D, A"),
-    (f"programme {{ship}} --runs 2 --sensor r {QUICK}", "write NAME=NUMBER"),
-    ("campaign trial", "Begin one with --problem"),
-    ("campaign trial --problem {ship} --goal all=x", "write NAME=NUMBER"),
-    (
-        "compare {ship} {ship}/data/zigzag_10_10.csv --validate {ship}/data/turning_circle.csv"
-        " --with yaw_quadratic_dampin",
-        "Did you mean 'yaw_quadratic_damping'?",
-    ),
-)
+REFUSED = [*((line, A_FILE) for line in TABLES["below_a_file"]), *TABLES["refused"].items()]
 
 
 @pytest.mark.parametrize(("line", "words"), REFUSED)

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import typer
 
+from benchmarks.tables import tables
 from oed_sysid import Record, load_problem, results, simulate_inputs, write_csv
 from oed_sysid.cli import DONE, main
 from oed_sysid.cli.application import app
@@ -295,40 +296,7 @@ def test_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-# Examples that take more than a few seconds, or that another test runs too.
-SLOW: tuple[str, ...] = (
-    "programme_for_a_tanker",
-    "programme_for_an_auv",
-    "cascaded_tanks",
-    "choose_a_trial_programme",
-    "design_the_next_dive",
-    "draw_a_fit",
-    "esso_osaka_wind",
-    "find_missing_physics",
-    "fly_the_plan",
-    "positioning_drive",
-    "recompute_a_claim",
-    "roll_decay",
-    "silverbox",
-    "slocum_glider",
-    "tanker_held_out_zigzag",
-    "tanker_on_line",
-    "tanker_turning_circle",
-    "tell_rivals_apart",
-)
-# Examples on measured data of third parties, which is not shipped.
-MEASURED = (
-    "esso_osaka_wind",
-    "roll_decay",
-    "silverbox",
-    "positioning_drive",
-    "cascaded_tanks",
-    "slocum_glider",
-    "tanker_gain_and_time_constant",
-    "tanker_held_out_zigzag",
-    "tanker_on_line",
-    "tanker_turning_circle",
-)
+SLOW, MEASURED = (tables(__file__)[kind] for kind in ("slow", "measured"))
 MAXIMUM_LINES = 80
 
 

@@ -16,6 +16,7 @@ import pytest
 from test_export import compiled, loaded
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
+from benchmarks.tables import tables
 from oed_sysid import Dataset, Fit, Input, Model, MultipleShooting, Output, Parameter, State
 from oed_sysid.errors import ModelError
 from oed_sysid.export import export, identifier, program_of
@@ -23,44 +24,7 @@ from oed_sysid.text.typeset import safe, safe_unit
 from oed_sysid.text.units import dimension
 
 COMPILER = shutil.which("cc") or shutil.which("gcc")
-HOSTILE = (
-    "a */ int stolen; /* b",
-    "*\\\n/ int stolen; /*",
-    "*\\\r\n/ int stolen; /*",
-    "*??/\n/ int stolen; /*",
-    "// line \\",
-    "ends with a backslash\\",
-    "??/",
-    '" ; stolen',
-    "' ; stolen",
-    '"""\nstolen = 1\n"""',
-    "'''\nstolen = 1\n'''",
-    '\\"""\nstolen = 1',
-    "\nstolen = 1\n",
-    "\r#define main stolen\r",
-    "\u2028stolen = 1\u2029",
-    "\x0bstolen = 1\x0c",
-    "\x00stolen",
-    "\x1b]0;stolen\x07",
-    "%{\nstolen\n%}",
-    "...\nstolen",
-    "$(stolen) `stolen` ${origin} $origin",
-    "%s%n%d",
-    "]]> <stolen/> <!-- &lt; &stolen;",
-    '"/><stolen a="',
-    "\\input{stolen} \\end{document}",
-    "∗／ stolen ／∗",
-    "ｓｔｏｌｅｎ ＂＂＂",
-    "\u202estolen\u202d",
-    "<?xml version='1.0'?>",
-    "#include <stolen.h>",
-    'int main(void){fclose(fopen("stolen","w"));return 0;}',
-    '*/ __attribute__((constructor)) void s(void){fopen("stolen","w");} /*',
-    '\n#include <stdlib.h>\nint z = system("touch stolen");',
-    "\nopen('stolen', 'w')",
-    "'''\n__import__('os').system('touch stolen')\n'''",
-    "%}\nsystem('touch stolen')",
-)
+HOSTILE = tuple(tables(__file__)["hostile"])
 
 
 @pytest.fixture(scope="module", name="fit")
@@ -123,7 +87,7 @@ def test_hostile_records_are_compiled_and_run(
     """All names at once: the C test passes, the module loads, the unit is valid, none is run."""
     monkeypatch.chdir(tmp_path)
     first = fit.dataset[0]
-    records = Dataset(tuple(replace(first, name=name) for name in HOSTILE))
+    records = Dataset(replace(first, name=name) for name in HOSTILE)
     told = (replace(one, description="".join(HOSTILE)) for one in fit.model.parameters)
     model = replace(fit.model, parameters=tuple(told))
     whole = MultipleShooting(disturbances="none").fit(model, records)

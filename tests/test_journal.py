@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from benchmarks.killed import journalled, killed
-from oed_sysid.experiments.experiment import Limits
-from oed_sysid.experiments.problem import new_problem
+from oed_sysid import Limits, new_problem
 from oed_sysid.likelihood.archive import encode
 from oed_sysid.runtime.journal import Journal, opened, package_digest
 
@@ -73,7 +72,7 @@ def test_killed_process_goes_on_where_it_was(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_killed_command_ends_with_the_same_result() -> None:
     """A design, killed twice: no step is done twice, the result is equal."""
-    command = journalled("design", "auv_diving_plane", "--duration", "60")
+    command = journalled("design auv_diving_plane --duration 60")
     found = killed(command, kills=2, rng=np.random.default_rng(1))
     assert (found["killed"], found["equal"]) == (2, "yes")
     assert (found["steps written again"], found["files left"]) == (0, 0)

@@ -10,6 +10,7 @@ import log_writers as writers
 import numpy as np
 import pytest
 
+from benchmarks.tables import tables
 from oed_sysid import Channels, Dataset, Input, Output, new_problem, read_csv
 from oed_sysid.cli import main
 from oed_sysid.data import apart, formats
@@ -419,23 +420,7 @@ def test_linear_inputs_are_interpolated_and_said() -> None:
     assert any("interpolated linearly" in note for note in result.notes)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("outputs = 3", "expected a table"),
-        ("[outputs.r]\nfeild = 'a.r'", "Did you mean 'field'"),
-        ("[outputs.r]\nunit = 'm/s'", "Give either field"),
-        ("[outputs.r]\nfield = 'a.r'\nsign = 2", "Choose 1 or -1"),
-        ("[outputs.r]\nfield = 'a.r'\nfactor = 'x'", "expected a number"),
-        ("[outputs.r]\nfield = 'a.r'\nunit = 'rad/fortnight'", "Unknown unit"),
-        ("[inputs.d]\nconstant = 1.0", "has no outputs"),
-        ("[outputs.r]\nfield = 'a.r'\n[[cuts]]\nname = 'x'\nfrom = 5\nto = 3", "before it begins"),
-        ("[outputs.r]\nfield = 'a.r'\n[[cuts]]\nname = 'x'\nfrom = 5", "lacks to"),
-        ("[outputs.r]\nfield = 'a.r'\n[cut_while]\nfield = 'm'", "one of equals"),
-        ("[outputs.r\nfield = 'a.r'", "is no TOML"),
-        ("clock = 'z'\n[outputs.r]\nfield = 'a.r'", "clock is 'z'"),
-    ],
-)
+@pytest.mark.parametrize(("text", "words"), tables(__file__)["faulty"].items())
 def test_faulty_mappings_are_refused_in_words(text: str, words: str) -> None:
     """Every fault of a mapping is said where it stands."""
     with pytest.raises(DataError, match=words):
@@ -631,7 +616,6 @@ def test_records_of_a_problem_are_checked(
 def test_draft_maps_what_has_a_name(tmp_path: Path) -> None:
     """Known fields are guessed, the rest is left to the user."""
     made = draft(open_log(ulog(tmp_path)), CHANNELS, problem="boat")
-    assert made is not None
     assert made.outputs["psi"].field == "vehicle_attitude.yaw"
     assert made.outputs["r"].field == "vehicle_angular_velocity.xyz[2]"
     assert "rudder" not in made.inputs  # an input is never made up

@@ -138,7 +138,7 @@ def test_candidates_of_the_day_need_several_records(count: int) -> None:
     times = np.arange(40.0)
     still = np.zeros((40, 2)), np.zeros((40, len(model.outputs)))
     runs = [Record(str(i), times, *still, model.channels) for i in range(count)]
-    found, _ = settled(model, Dataset(tuple(runs)), listed)
+    found, _ = settled(model, Dataset(runs), listed)
     day = {"current_by_record", "wind_by_record", "rudder_neutral_angle_by_record"}
     assert {e.name for e in listed} - {e.name for e in found} == (day if count == 1 else set())
 
@@ -180,7 +180,6 @@ def test_starter_folder_works_at_once(tmp_path: Path) -> None:
         problem.model + problem.effect("yaw_quadratic_damping"), train
     )
     assert better.status.ok
-    assert problem.truth is not None
     for name, estimate in zip(better.names, better.estimates, strict=True):
         assert estimate == pytest.approx(problem.truth[name], rel=0.05)
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from motion import ran
 from scipy.interpolate import RegularGridInterpolator
-from tables import tables
 
+from benchmarks.tables import tables
 from oed_sysid import Actuator, ExtraState, Force, Function, Input, Output, Parameter, Sensor, State
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.errors import DataError, ModelError

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from benchmarks.documents.page import Numbers, Page
 from benchmarks.random_forces.run import run
 from benchmarks.spikes import case
+from benchmarks.tables import tables
 
 SETS, SEED = 30, 6600
 SPIKES, SPIKE_SEED = 20, 6601
-DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+DATA = tables(__file__)
 
 
 def worlds(name: str) -> Numbers:

@@ -8,8 +8,7 @@ import runpy
 from typing import Any
 
 from benchmarks.documents.page import ROOT, Numbers, Page
-from oed_sysid import MultipleShooting, load_problem
-from oed_sysid.evidence.improve import improve
+from oed_sysid import MultipleShooting, improve, load_problem
 from oed_sysid.evidence.improvement import Improvement, Step
 from oed_sysid.likelihood.noise_levels import white_levels
 

@@ -15,19 +15,14 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from benchmarks.harness import named
-from oed_sysid import Dataset, Fit, MultipleShooting, Record, load_problem
+from oed_sysid import Dataset, Fit, MultipleShooting, Record, load_problem, simulate_inputs
 from oed_sysid.errors import DataError, SimulationError
 from oed_sysid.experiments.indices import turning_indices
-from oed_sysid.experiments.simulation import simulate_inputs
 from problems.esso_osaka.manoeuvring import MMG
 from problems.esso_osaka.mavmm import MAVMM
 from problems.esso_osaka.missing import WIND
 from problems.esso_osaka.particulars import LENGTH
-from problems.kvlcc2.averaging import (
-    StructureAverage,
-    average_structures,
-    peak_input,
-)
+from problems.kvlcc2.averaging import StructureAverage, average_structures, peak_input
 from problems.kvlcc2.structures import HORIZON, HORIZONS, REGRESSION, SCORED, ahead, variants
 
 QUANTITIES = ("advance", "transfer", "tactical_diameter")

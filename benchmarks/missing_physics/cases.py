@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 import math
-import tomllib
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks.missing_physics.simulator import (
-    PRIORS,
-    TEST,
-    TRAIN,
-    Case,
-    Noise,
-    Records,
-    simulate,
-)
+from benchmarks.missing_physics.simulator import PRIORS, TEST, TRAIN, Case, Noise, Records, simulate
+from benchmarks.tables import tables
 
 SPREAD = 0.09  # of the true derivatives about what is believed
 STEEPEST = 1.6  # largest pitch of a record that is kept, rad
 ATTEMPTS = 20
 
-DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+DATA = tables(__file__)
 EFFECTS, UNKNOWN_TERMS = tuple(DATA["effects"]), tuple(DATA["unknown"])
 
 FORCE = (0.1, 0.3, 0.06)  # a moderate disturbance force, N, N, N m

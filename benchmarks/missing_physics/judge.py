@@ -12,14 +12,7 @@ from benchmarks.harness import Row
 from benchmarks.missing_physics.cases import DATA, UNKNOWN_TERMS, Draw
 from benchmarks.missing_physics.simulator import TEST, TRAIN, Case, Records
 from benchmarks.rates import detectable, judged
-from oed_sysid import (
-    Dataset,
-    Force,
-    Parameter,
-    Problem,
-    Record,
-    load_problem,
-)
+from oed_sysid import Dataset, Force, Parameter, Problem, Record, load_problem
 from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.study import Study

@@ -17,28 +17,12 @@ from benchmarks.other_vehicles.truth.detect import Gains, gains
 from benchmarks.other_vehicles.truth.simulator import Hidden, Runs, Sizes, Vehicle, simulate
 
 # Kinds of case in turn: what is hidden, and what disturbs.
-PATTERN = (
-    ("none", "white"),
-    ("single", "white"),
-    ("single", "white"),
-    ("single", "waves"),
-    ("none", "waves"),
-    ("single", "white"),
-    ("single", "white"),
-    ("pair", "white"),
-    ("single", "waves"),
-    ("none", "input_noise"),
-    ("single", "white"),
-    ("single", "white"),
-    ("none", "waves"),
-    ("single", "waves"),
-    ("single", "white"),
-    ("single", "input_noise"),
-    ("none", "white"),
-    ("single", "white"),
-    ("pair", "waves"),
-    ("single", "white"),
-)
+KINDS = """
+none/white single/white single/white single/waves none/waves single/white single/white pair/white
+single/waves none/input_noise single/white single/white none/waves single/waves single/white
+single/input_noise none/white single/white pair/waves single/white
+"""
+PATTERN = tuple(tuple(kind.split("/")) for kind in KINDS.split())
 WRONG = (0.10, 0.30)  # by which the nominal values of free parameters are wrong
 SPREAD = 0.03  # of the true parameters about those of their vehicle
 FACTOR = (0.3, 2.0)  # hidden sizes in typical ones

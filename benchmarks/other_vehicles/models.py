@@ -7,17 +7,15 @@ function that makes something, its arguments and its options.
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
+from benchmarks.tables import tables
 from oed_sysid import Actuator, Force, Input, Model, Output, Parameter, State, physics
 from oed_sysid.physics import Effect, amplitude
 
-FOLDER = Path(__file__).with_name("models")
 RELATIVE_PRIOR = 0.3
 # Lists of a model, and what makes their rows.
 LISTED = {"states": "State", "inputs": "Input", "outputs": "Output"}
@@ -142,7 +140,7 @@ def modelled(data: Mapping[str, Any]) -> Model:
 @cache
 def nominal(vehicle: str) -> Nominal:
     """The nominal model and candidates of a vehicle."""
-    data = tomllib.loads((FOLDER / f"{vehicle}.toml").read_text(encoding="utf-8"))
+    data = tables(__file__, f"models/{vehicle}")
     own = {row["name"]: written(row) for row in data.get("own", ())}
     whole = modelled(data)
     candidates = tuple(own[row[0]] if row[0] in own else made(*row) for row in data["candidates"])

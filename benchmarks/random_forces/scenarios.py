@@ -18,17 +18,16 @@ deviation :math:`\sigma` and time :math:`\tau`, or a swell of a JONSWAP spectrum
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.tables import tables
 from benchmarks.truth import MASSES, NAMES, rates
 
-DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+DATA = tables(__file__)
 # state, input, force: (n_..., n_runs); parameters by name: (n_runs,)
 Rate = Callable[[np.ndarray, np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]
 

@@ -101,7 +101,7 @@ def dataset(scenario: Scenario, model: Model, runs: Sequence[Run]) -> Dataset:
             there = np.isfinite(run.outputs).any(axis=1)
         parts = (run.times[there], run.inputs[there], run.outputs[there])
         records.append(Record(run.name, *parts, model.channels))
-    return Dataset(tuple(records))
+    return Dataset(records)
 
 
 def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outcome:

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from benchmarks.scoreboard.row import Row, held_back, place
-from oed_sysid import Dataset, Record
-from oed_sysid.evidence.improve import improve
+from oed_sysid import Dataset, Record, improve
 from oed_sysid.evidence.improvement import Improvement
 from problems.positioning_drive.problem import HALVES, ORIGINAL, THIN, original, problem, read
 

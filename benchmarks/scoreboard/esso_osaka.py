@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.scoreboard.row import Row, attempted, missing, place
-from oed_sysid import Channels, Dataset, MultipleShooting, Record, load_problem
+from oed_sysid import Channels, Dataset, Model, MultipleShooting, Record, load_problem
 from oed_sysid.data.third_party import registered
 from oed_sysid.errors import DataError, SimulationError
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.physics.model import Model
 from problems.esso_osaka.records import VALIDATION, load, record_of, windows
 
 GAP = 0.15  # s between rows that a record may not bridge

@@ -13,10 +13,9 @@ from functools import partial
 import numpy as np
 
 from benchmarks.scoreboard.row import Row, columns, held_back, place
-from oed_sysid import Dataset, Model, MultipleShooting, Record, improve, load_problem
+from oed_sysid import Dataset, Fit, Model, MultipleShooting, Record, improve, load_problem
 from oed_sysid.errors import DataError
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.likelihood.fit import Fit
 from problems.silverbox.problem import FINER, PADDING, SAMPLING, band_limited
 
 WHOLE = "silverbox/SNLS80mV.csv"

@@ -13,9 +13,8 @@ import zipfile
 from collections.abc import Callable
 from typing import Any
 
-from tables import tables
-
 from bad_input import text_of
+from benchmarks.tables import tables
 from oed_sysid.physics.channels import Channels, Input, Output
 
 CHANNELS = Channels(

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from tables import tables
-
 from bad_input import text_of
+from benchmarks.tables import tables
 
 DATA = tables(__file__)
 SOUND: str = DATA["sound"]

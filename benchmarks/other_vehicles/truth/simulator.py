@@ -18,14 +18,13 @@ of an input; ``sensor_lag``, ``scale`` and ``bias`` of an output.
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.tables import tables
 from benchmarks.truth import gauss_markov, runge_kutta
 
 Pilot = Callable[[float, np.ndarray], float]
@@ -201,8 +200,7 @@ class Vehicle:
 
 def vehicle(name: str, rate: Rate, measure: Measure, settle: Settle | None = None) -> Vehicle:
     """The vehicle whose numbers, hidden effects and trials stand in ``name.toml``."""
-    path = Path(__file__).with_name(f"{name}.toml")
-    data = tomllib.loads(path.read_text(encoding="utf-8"))
+    data = tables(__file__, name)
     hidden = {key: Hidden(**_frozen(row)) for key, row in data.pop("hidden").items()}
     trials = {
         part: tuple(_manoeuvre(row, data["states"], data["inputs"]) for row in data.pop(part))
