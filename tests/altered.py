@@ -26,6 +26,16 @@ def altered(
     return Dataset(records)
 
 
+def with_outputs(data: Iterable[Record], of: Callable[[Record], np.ndarray]) -> Dataset:
+    """Copies of records whose outputs are others, of each a function of the record."""
+    return Dataset(record.with_outputs(of(record)) for record in data)
+
+
+def with_inputs(data: Iterable[Record], of: Callable[[Record], np.ndarray]) -> Dataset:
+    """The same of their inputs."""
+    return Dataset(replace(record, inputs=of(record)) for record in data)
+
+
 def trials(
     model: Model, runs: Iterable[Experiment], rng: np.random.Generator | int | tuple[int, ...]
 ) -> Dataset:
@@ -35,10 +45,8 @@ def trials(
     """
     one = None if isinstance(rng, tuple) else np.random.default_rng(rng)
     return Dataset(
-        [
-            simulate(model, run, rng=one or np.random.default_rng((*rng, k)))
-            for k, run in enumerate(runs)
-        ]
+        simulate(model, run, rng=one or np.random.default_rng((*rng, k)))
+        for k, run in enumerate(runs)
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -22,12 +24,15 @@ def script(problem: str | None) -> None:
     show(problem)
 
 
+def session(problem: object = None):
+    """The application before its first page is drawn."""
+    given = {"problem": problem and str(problem)}
+    return testing.AppTest.from_function(script, kwargs=given, default_timeout=PATIENCE)
+
+
 def opened(problem: object):
     """The application, first page drawn."""
-    app = testing.AppTest.from_function(
-        script, kwargs={"problem": str(problem)}, default_timeout=PATIENCE
-    )
-    return fine(app.run())
+    return fine(session(problem).run())
 
 
 def fine(app):
@@ -97,18 +102,24 @@ def text_of(app) -> str:
 
 def typed(folder: Path):
     """The application in a new session, in which the path of a problem has been typed."""
-    app = testing.AppTest.from_function(script, kwargs={"problem": None}, default_timeout=PATIENCE)
+    app = session()
     app.session_state["keep:source"] = str(folder)
     return app.run()
 
 
 def reopened(app, problem: object = None):
     """Another session at the address of a study, as after a reload."""
-    again = testing.AppTest.from_function(
-        script, kwargs={"problem": problem and str(problem)}, default_timeout=PATIENCE
-    )
+    again = session(problem)
     again.query_params["study"] = app.session_state["study"]
     return again.run()
+
+
+def waited(still: Callable[[], bool], seconds: float = PATIENCE) -> bool:
+    """Whether something has ended within some time."""
+    deadline = time.monotonic() + seconds
+    while still() and time.monotonic() < deadline:
+        time.sleep(0.005)
+    return not still()
 
 
 class DeskHere(Desk):

@@ -39,11 +39,12 @@ def _named(header: str) -> tuple[str, str]:
 def small(
     name: str,
     signals: str,
-    rates: Mapping[str, str],
+    rates: Mapping[str, str] | None = None,
     parameters: Mapping[str, float] | Iterable[Parameter] = (),
     noise: Mapping[str, float] | float | None = None,
     *,
     scales: Mapping[str, float] | None = None,
+    interpolation: str = "hold",
     **settings: Any,
 ) -> Model:
     """A model whose signals are said as headers: ``"x [m], v [m/s] <- force [N]"``.
@@ -64,9 +65,9 @@ def small(
     return Model(
         name,
         tuple(State(own, unit, scale=(scales or {}).get(own, 1.0)) for own, unit in states),
-        tuple(Input(own, unit) for own, unit in inputs),
+        tuple(Input(own, unit, interpolation=interpolation) for own, unit in inputs),
         tuple(Output(own, dict(states)[own], noise_std=level) for own, level in levels.items()),
-        rates,
+        rates or {},
         parameters=tuple(parameters),
         **settings,
     )

@@ -5,25 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from motion import small
 
-from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State
+from oed_sysid import Dataset, Parameter, Record
 
 TRUE = {"Y_u": -0.4, "Y_r": -0.3, "Y_d": -0.09, "N_v": -0.03, "N_r": -0.11, "N_d": 0.016}
 NOISE = np.array([0.02, 0.02, 0.002])
-BOAT = Model(
+BOAT = small(
     "boat",
-    (State("u", "m/s"), State("v", "m/s", scale=0.5), State("r", "rad/s", scale=0.05)),
-    (Input("rudder", "rad"), Input("power", "m/s")),
-    (Output("u", "m/s"), Output("v", "m/s"), Output("r", "rad/s")),
+    "u [m/s], v [m/s], r [rad/s] <- rudder [rad], power [m/s]",
     {
         "u": "(power - u)/8",
         "v": "Y_u*v*u/4 + Y_r*u*r + Y_d*u**2*rudder/6",
         "r": "N_v*u*v + N_r*u*r + N_d*u**2*rudder/6",
     },
-    parameters=tuple(
+    (
         Parameter(name, value, prior_mean=value, prior_std=0.2 * abs(value))
         for name, value in TRUE.items()
     ),
+    scales={"v": 0.5, "r": 0.05},
     step=0.2,
 )
 # What is written in place of the rudder angles that act.
@@ -56,4 +56,4 @@ def sailed(seed: int, written: Written, angle: float) -> Record:
 
 def sailings(seed: int, written: Written = lambda angle: angle) -> Dataset:
     """Zigzags of 10 and 20 degrees."""
-    return Dataset(tuple(sailed(seed, written, angle) for angle in (0.175, 0.35)))
+    return Dataset(sailed(seed, written, angle) for angle in (0.175, 0.35))

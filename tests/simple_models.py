@@ -7,7 +7,7 @@ from dataclasses import replace
 from motion import outputs, small
 from vehicles import remus
 
-from oed_sysid import Input, Model, Output, Parameter, State
+from oed_sysid import Input, Model, Parameter
 from oed_sysid.physics import actuator_lag, sensor_lag
 
 K, T = 0.08, 12.0
@@ -18,17 +18,14 @@ def nomoto(
     rudder: str = "rudder", **settings: object,
 ) -> Model:  # fmt: skip
     """Heading and yaw rate of a ship of Nomoto's first order."""
-    return Model(
+    return small(
         "Nomoto",
-        states=(State("psi", "rad"), State("r", "rad/s", scale=0.05)),
-        inputs=(Input(rudder, "rad"),),
-        outputs=(
-            Output("psi", "rad", noise_std=noise[0]),
-            Output("r", "rad/s", noise_std=noise[1]),
-        ),
-        kinematics={"psi": "r", "r": f"(K*{rudder} - r)/T"},
-        parameters=(Parameter("K", gain, "1/s"), Parameter("T", time, "s", lower=0.1)),
-        **settings,  # type: ignore[arg-type]
+        f"psi [rad], r [rad/s] <- {rudder} [rad]",
+        {"psi": "r", "r": f"(K*{rudder} - r)/T"},
+        [Parameter("K", gain, "1/s"), Parameter("T", time, "s", lower=0.1)],
+        {"psi": noise[0], "r": noise[1]},
+        scales={"r": 0.05},
+        **settings,
     )
 
 

@@ -28,13 +28,13 @@ from app_pages import (  # noqa: F401
     own_shelf,
     records_for,
     reopened,
-    script,
+    session,
     ship_folder,
     study_of_ship,
-    testing,
     text_of,
     typed,
     uploaded,
+    waited,
     went,
 )
 
@@ -174,9 +174,7 @@ def test_a_record_cannot_be_learnt_from_and_judged_with(ship: Path) -> None:
 
 def test_problem_that_does_not_exist(tmp_path: Path) -> None:
     """A wrong folder is answered with the package's own message."""
-    app = testing.AppTest.from_function(
-        script, kwargs={"problem": str(tmp_path / "none")}, default_timeout=PATIENCE
-    ).run()
+    app = session(tmp_path / "none").run()
     assert not app.exception
     assert "There is no problem" in app.error[0].value
 
@@ -373,9 +371,7 @@ def test_consent_of_one_session_is_none_of_another(ship: Path, tmp_path: Path) -
 def test_address_without_the_key_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever does not know the secret of this run sees no page and runs nothing."""
     monkeypatch.setenv(SECRET, "right")
-    app = testing.AppTest.from_function(
-        script, kwargs={"problem": "remus_diving_plane"}, default_timeout=PATIENCE
-    )
+    app = session("remus_diving_plane")
     for wrong in (None, "wrong"):
         if wrong:
             app.query_params["key"] = wrong
@@ -394,7 +390,6 @@ def test_uploads_are_limited_and_stay_in_their_folder(ship: Path, monkeypatch) -
     names = ["../../out.csv", "..", "a/b\\c.csv", "x\0y.csv", "n" * 300 + ".csv"]
     stock = read_uploads(problem, dict.fromkeys(names, good))
     records, refused = stock.records, stock.refused
-    assert records is not None
     assert refused == {}
     assert not any(set("/\\\0") & set(name) for name in records.names)
     monkeypatch.setattr(trust, "MOST_BYTES", 10)
@@ -416,7 +411,6 @@ def test_job_is_done_once_and_kept(study: Study, tmp_path: Path) -> None:
     assert job.state == "done"
     verdict = job.result.result.verdict
     again = Desk(tmp_path).find("two", "check")
-    assert again is not None
     assert again.result.result.verdict == verdict
     assert Desk(tmp_path).find("two", "other") is None
 
@@ -426,9 +420,7 @@ def test_job_stops_at_once_and_for_nobody_else(study: Study, tmp_path: Path) -> 
     desk = Desk(tmp_path)
     request = Request.of(study, TASKS["improve"], {"max_effects": 2})
     mine, theirs = (desk.ask(who, "improve", request) for who in ("one", "two"))
-    deadline = time.monotonic() + PATIENCE
-    while "Starting" in (mine.doing, theirs.doing) and time.monotonic() < deadline:
-        time.sleep(0.1)
+    assert waited(lambda: "Starting" in (mine.doing, theirs.doing))
     began = time.monotonic()
     mine.stop()
     assert time.monotonic() - began < 2.5
@@ -447,9 +439,7 @@ def test_job_stops_before_it_has_read_what_to_do(study: Study, tmp_path: Path) -
     desk = Desk(tmp_path)
     large = bytes(2**22)  # more than a pipe holds
     job = desk.ask("one", "improve", Request.of(study, TASKS["improve"], {"large": large}))
-    deadline = time.monotonic() + PATIENCE
-    while job._process is None and time.monotonic() < deadline:
-        time.sleep(0.001)
+    assert waited(lambda: job._process is None)
     began = time.monotonic()
     job.stop()
     assert time.monotonic() - began < 2.5
@@ -464,9 +454,7 @@ def test_job_that_fails_says_why(study: Study, tmp_path: Path) -> None:
     wrong = desk.ask("one", "compare", Request.of(alone, TASKS["compare"], {}))
     broken = desk.ask("one", "broken", Request.of(study, operator.truediv, {}))
     killed = desk.ask("one", "improve", Request.of(study, TASKS["improve"], {"max_effects": 2}))
-    deadline = time.monotonic() + PATIENCE
-    while killed._process is None and time.monotonic() < deadline:
-        time.sleep(0.05)
+    assert waited(lambda: killed._process is None)
     killed._process.kill()
     desk.wait()
     assert (wrong.state, wrong.result) == ("failed", None)
@@ -493,10 +481,7 @@ def test_work_ends_with_the_program(ship: Path, tmp_path: Path) -> None:
         number = int(run.stdout.readline())
         assert _alive(number)
         run.kill()
-    deadline = time.monotonic() + 10.0
-    while _alive(number) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert not _alive(number)
+    assert waited(lambda: _alive(number), 10.0)
 
 
 def _alive(number: int) -> bool:

@@ -64,15 +64,10 @@ def _study() -> Study:
     problem = load_problem("nomoto_sparse_heading")
     rng = np.random.default_rng(4)
     first, second = [
-        replace_name(simulate(problem.model, one, rng=rng), name)
+        simulate(problem.model, one, rng=rng, name=name)
         for name, one in list(problem.experiments.items())[:2]
     ]
     return Study("nomoto_sparse_heading", "default", problem, Dataset((first,)), Dataset((second,)))
-
-
-def replace_name(record: Record, name: str) -> Record:
-    """The record under another name."""
-    return replace(record, name=name)
 
 
 @pytest.fixture(name="outcome", scope="module")
@@ -106,7 +101,6 @@ def test_columns_become_channels() -> None:
     stock = mapping.imported(opened, asked, CHANNELS)
     records, refused = stock.records, stock.refused
     assert refused == {}
-    assert records is not None
     assert records.names == ("run", "again")
     for record in records:
         np.testing.assert_allclose(record.times, t)

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from altered import with_inputs, with_outputs
 from bad_input import folder_of
 from bad_input.problem_files import REFUSED, SOUND
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
-from oed_sysid import check, diagnose, improve, simulate, turning_circle, usual_effects
+from oed_sysid import Model, check, diagnose, improve, simulate, turning_circle, usual_effects
 from oed_sysid.data.dataset import Dataset, Record, read_csv
 from oed_sysid.errors import OedSysidError, ProblemError
 from oed_sysid.experiments.definition import faults
@@ -23,7 +24,6 @@ from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics import ExtraState, Force, Parameter
 from oed_sysid.physics.channels import Channels, Input, Output, State
-from oed_sysid.physics.model import Model
 
 DATA = yaw_data(0)
 MODEL = yaw_model()
@@ -40,7 +40,7 @@ def declared(level: float | None) -> Model:
 def redeclared(level: float | None) -> tuple[Model, Dataset]:
     """Model and data with that declaration."""
     model = declared(level)
-    return model, Dataset(tuple(replace(record, channels=model.channels) for record in DATA))
+    return model, Dataset(replace(record, channels=model.channels) for record in DATA)
 
 
 def short() -> Dataset:
@@ -191,12 +191,8 @@ def test_arguments_in_the_wrong_place_are_named(act: Callable[[], object]) -> No
 
 def test_constant_measurements_are_fitted_and_explained() -> None:
     """A vehicle at rest is no error: the fit says that nothing moved and nothing is known."""
-    still = Dataset(
-        tuple(
-            Record(r.name, r.times, 0 * r.inputs, 0 * r.outputs + [0.1, 0.0], r.channels)
-            for r in DATA
-        )
-    )
+    held = with_inputs(DATA, lambda record: 0 * record.inputs)
+    still = with_outputs(held, lambda record: 0 * record.outputs + [0.1, 0.0])
     fit = MultipleShooting(noise=NOISE).fit(MODEL, still)
     report = fit.report()
     assert "Input delta never moves in any record" in report

@@ -10,11 +10,10 @@ import pytest
 from free_body import FreeBody, rotation
 from marks import slow
 
-from oed_sysid import Dataset, Experiment, Input, Model, MultipleShooting, Parameter
+from oed_sysid import Dataset, Experiment, Input, Model, MultipleShooting, Parameter, simulate
 from oed_sysid.compiled.kernels import Run
 from oed_sysid.errors import ModelError
 from oed_sysid.experiments.manoeuvres import ZigZag, ZigZagLike
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.physics import Effect
 from oed_sysid.physics.bodies import (
     RigidBody,
@@ -198,10 +197,7 @@ def test_coriolis_matrix_is_skew_and_is_what_the_texts_say() -> None:
         assert abs(nu @ total) < 1e-11
 
 
-@pytest.mark.parametrize(
-    "dof",
-    [3, pytest.param(4, marks=pytest.mark.slow), pytest.param(6, marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize("dof", [3, *slow(4, 6)])
 def test_zero_current_is_no_current(dof: int) -> None:
     """A current of zero changes nothing at all, in every kind of body."""
     parts = rigid_body(
@@ -317,11 +313,6 @@ def test_accelerometer_at_rest_and_in_free_motion() -> None:
     np.testing.assert_allclose(seen[2:-2], expected, atol=2e-6)
 
 
-def plain(parts: RigidBody) -> Model:
-    """The bare body as a model."""
-    return parts.model("body", inputs=(Input("T", "N"),))
-
-
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
@@ -354,11 +345,11 @@ def test_parameters_may_be_free() -> None:
         inertia=3.4,
         added_mass=[Parameter("Y_vdot", -30.0, prior_std=3.0)],
     )
-    assert plain(parts).free_names == ("m", "Y_vdot")
-    assert plain(parts).parameter("Y_vdot").unit == "kg"
+    assert model_of(parts).free_names == ("m", "Y_vdot")
+    assert model_of(parts).parameter("Y_vdot").unit == "kg"
 
 
-@pytest.mark.parametrize("disturbances", ["none", pytest.param("auto", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("disturbances", ["none", *slow("auto")])
 def test_quaternion_model_can_be_fitted(disturbances: str) -> None:
     """From wrong values and unknown start states a fit with a quaternion finds the truth."""
     parts = rigid_body(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from golden_files import restored
 from marks import slow
-from motion import outputs, states
+from motion import small
 
 from benchmarks.truth import gauss_markov
 from oed_sysid import Dataset, Experiment, Input, Output, State, ZigZag, simulate, simulate_inputs
@@ -27,14 +27,14 @@ SPEED = 2.0
 def ship() -> Model:
     """Sway and yaw of a ship at constant speed, with start values a third off."""
     parameters = tuple(Parameter(name, value / 1.5, "1") for name, value in TRUTH.items())
-    return Model(
+    return small(
         "sway and yaw",
-        states=states("v r psi", v=0.2, r=0.1),
-        inputs=(Input("delta", "rad"),),
-        outputs=outputs("v r psi", v=0.01, r=0.005, psi=0.01),
+        "v [m/s], r [rad/s], psi [rad] <- delta [rad]",
+        {"psi": "r"},
+        noise={"v": 0.01, "r": 0.005, "psi": 0.01},
+        scales={"v": 0.2, "r": 0.1},
         axes={"Y": "v", "N": "r"},
         inertia={("Y", "v"): "150", ("N", "r"): "90"},
-        kinematics={"psi": "r"},
         effects=(
             Force(
                 "hull and rudder",

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from altered import altered, trials
 from kinematic_logs import DIVER, SHIP, Vehicle, log
+from motion import small
 
 from benchmarks.truth import gauss_markov
-from oed_sysid import Force, Input, Model, Output, Parameter, State, load_problem, simulate_inputs
+from oed_sysid import Dataset, Force, Record, load_problem, read_csv, simulate_inputs, write_csv
 from oed_sysid.cli import main
-from oed_sysid.data.dataset import Dataset, read_csv, write_csv
-from oed_sysid.data.record import Record
 from oed_sysid.errors import ModelError
 from oed_sysid.evidence.check import LogCheck, check, corrected_copies, why_not_more
 from oed_sysid.evidence.contrasts import UNEXPLAINED, unexplained
@@ -300,7 +299,6 @@ def test_a_jump_is_the_only_finding_and_is_undone(
         unit,
     )
     assert one.size == pytest.approx(size, abs=4.0 * 1.28 * vehicle.noise[signal])
-    assert one.correction is not None
     assert one.correction.rows == {data[1].name: (400,)}
     assert f"t = {data[1].times[400]:.6g} s" in one.says
     clean = check(data, model, inputs=False)
@@ -319,7 +317,6 @@ def test_size_is_said_in_degrees_and_corrected_copies_pass() -> None:
     found = check(spoilt, SHIP.model, inputs=False)
     assert {(f.kind, f.signals) for f in found.serious} == {("step", ("psi",)), ("step", ("y",))}
     heading = found.named("step", "psi")
-    assert heading is not None
     assert heading.size == pytest.approx(np.pi / 2.0, abs=4.0 * 0.004)
     assert f"{np.degrees(heading.size):+.3g} deg" in heading.says
     copies, done = corrected_copies(spoilt, SHIP.model, found)
@@ -338,7 +335,6 @@ def test_an_underwater_vehicle_whose_compass_was_reset() -> None:
         spoilt = jumping(spoilt, {"psi": (k, 150, np.pi / 2.0)})
     (one,) = check(spoilt, problem).serious
     assert (one.kind, one.signals, one.records) == ("step", ("psi",), data.names)
-    assert one.correction is not None
     assert all(rows == (150,) for rows in one.correction.rows.values())
     assert one.size == pytest.approx(np.pi / 2.0, abs=0.05)
 
@@ -353,7 +349,6 @@ def test_a_heading_that_catches_up_is_not_shifted() -> None:
     heading[first : first + 30] = heading[first] + 0.004 * rng.standard_normal(30)
     found = check(altered(data, 1, psi=heading), SHIP.model, inputs=False)
     one = found.named("step", "psi")
-    assert one is not None
     assert one.size == pytest.approx(heading[first + 30] - heading[first], abs=0.05)
     assert one.correction is None
     assert "caught up" in one.says
@@ -361,14 +356,8 @@ def test_a_heading_that_catches_up_is_not_shifted() -> None:
 
 def test_a_jump_that_no_equation_contradicts_is_a_note() -> None:
     """A tank's level may fall at once, or its sensor was set: nothing else in the log tells."""
-    tank = Model(
-        "tank",
-        (State("level", "m"),),
-        (Input("pump", "m/s"),),
-        (Output("level", "m", noise_std=0.01),),
-        kinematics={"level": "a*pump - b*level"},
-        parameters=(Parameter("a", 1.0, "1"), Parameter("b", 0.1, "1/s")),
-    )
+    law, values = {"level": "a*pump - b*level"}, {"a [1]": 1.0, "b [1/s]": 0.1}
+    tank = small("tank", "level [m] <- pump [m/s]", law, values, 0.01)
     times = np.arange(300.0)
     level = 1.0 + 0.5 * np.sin(0.05 * times) - 0.3 * (times >= 150.0)
     level += 0.01 * np.random.default_rng(0).standard_normal(300)
@@ -376,7 +365,6 @@ def test_a_jump_that_no_equation_contradicts_is_a_note() -> None:
     data = Dataset((Record("run", times, pump[:, None], level[:, None], tank.channels),))
     found = check(data, tank, inputs=False)
     one = found.named("step", "level")
-    assert one is not None
     assert one.size == pytest.approx(-0.3, abs=0.05)
     assert (one.suspect, one.correction, found.suspect) == (False, None, False)
     # Nothing is certified that the check could not judge.
@@ -411,7 +399,6 @@ def misfit(trace: Trace):  # type: ignore[no-untyped-def]
 def test_share_and_time_of_a_misfit() -> None:
     """A jump of 90 degrees is what is left of a heading that swings by half a radian."""
     found = misfit(heading(np.pi / 2.0, 0.5))
-    assert found is not None
     # One block changes by pi/2, the other 199 by 0.05 cos(0.1 t).
     usual = 199.0 * 0.05**2 / 2.0
     assert found.share == pytest.approx(np.sqrt((np.pi / 2.0) ** 2 / (usual + 2.56)), rel=0.05)
@@ -425,7 +412,6 @@ def test_noise_that_leaves_everything_is_no_misfit() -> None:
     assert misfit(quiet) is None
     still = replace(quiet, noise={"psi": 1e-5, "r": 1e-6})
     found = misfit(still)
-    assert found is not None
     assert found.share > 0.9
 
 
@@ -446,7 +432,6 @@ def test_the_equation_the_record_and_the_time_are_named(
     """A rate of another record is no sign, unit or size: the heading stays unexplained there."""
     data, found = wandered
     one = found.named("unexplained", "psi")
-    assert one is not None
     assert one.records == (data[1].name,)
     assert one.size > UNEXPLAINED
     assert found.suspect
@@ -497,14 +482,12 @@ def test_noise_of_any_colour_is_no_misfit(colour: float) -> None:
         assert max(row.after for row in found.balances) < UNEXPLAINED
 
 
-TWIN = Model(
-    name="twin screw",
-    states=(State("u", "m/s"), State("r", "rad/s")),
-    inputs=(Input("port", "N"), Input("starboard", "N")),
-    outputs=(Output("u", "m/s"), Output("r", "rad/s")),
+TWIN = small(
+    "twin screw",
+    "u [m/s], r [rad/s] <- port [N], starboard [N]",
+    parameters={"m [kg]": 100.0, "I [kg m^2]": 80.0},
     axes={"X": "u", "N": "r"},
     inertia={("X", "u"): "m", ("N", "r"): "I"},
-    parameters=(Parameter("m", 100.0, "kg"), Parameter("I", 80.0, "kg m^2")),
     effects=(Force("screws", {"X": "port + starboard - 40*u", "N": "port - starboard - 60*r"}),),
     step=0.05,
 )
@@ -542,7 +525,7 @@ def test_an_effect_with_memory_is_refused() -> None:
 def test_depth_that_some_records_hold_is_no_other_fault(held: tuple[str, ...]) -> None:
     """A slow depth sensor in one of three records: held there, and nothing else is said."""
     problem = load_problem("remus_diving_plane")
-    data = Dataset([record for record in problem.data() if record.name.startswith("train")])
+    data = Dataset(record for record in problem.data() if record.name.startswith("train"))
     for number in [data.names.index(name) for name in held]:
         fifth = np.arange(data[number].n_samples) // 5 * 5
         data = altered(data, number, z=data[number].output("z")[fifth])
@@ -561,8 +544,7 @@ def test_motion_that_is_faster_than_the_samples_is_no_noise() -> None:
         )
         for record, rng in zip(problem.data(), map(np.random.default_rng, range(9)), strict=False)
     ]
-    said = check(Dataset(tuple(loud)), problem.model, inputs=False).named("noise", "psi")
-    assert said is not None
+    said = check(Dataset(loud), problem.model, inputs=False).named("noise", "psi")
     assert said.size == pytest.approx(np.sqrt(10.0), rel=0.05)
 
 

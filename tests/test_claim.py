@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from altered import with_outputs
 from marks import slow
 from motion import small
 from scipy.integrate import solve_ivp
@@ -33,12 +33,7 @@ from oed_sysid import (
 )
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.chance import FALSE_CLAIMS, threshold
-from oed_sysid.evidence.claim import (
-    Claim,
-    at_bounds,
-    claim,
-    independent_share,
-)
+from oed_sysid.evidence.claim import Claim, at_bounds, claim, independent_share
 from oed_sysid.evidence.rank import pairs, rank
 from oed_sysid.evidence.score import two_sided
 from oed_sysid.evidence.study import RISE, RISE_DISTURBED, Study, usual, worse
@@ -119,7 +114,6 @@ def test_prediction_of_validation_records_is_laplaces_approximation() -> None:
     train, test = dataset(3), dataset(4)
     study, base = Study.begin(SHIP, train, test, [BIASED], known_noise=True, disturbances="none")
     found = study.estimate(study.candidates, base.values, base, max_iterations=25)
-    assert found is not None
     one = claim(study, base, found, study.candidates, 10.0)
     assert one.training == pytest.approx(base.objective - found.objective)
     # An absent effect: validation records lose about what its uncertainty costs.
@@ -165,11 +159,6 @@ def test_size_that_a_bound_holds_back_is_no_claim_and_one_without_declared_bound
     assert abs(value + 15.0) < 3.0 * error
 
 
-def spoilt(data: Dataset, how: Callable[[Record], np.ndarray]) -> Dataset:
-    """Records with other outputs."""
-    return Dataset(tuple(record.with_outputs(how(record)) for record in data))
-
-
 def test_a_sensor_that_stands_still_has_no_size_of_lag() -> None:
     """A lag without end is no claim."""
     train = yaw_data(3)
@@ -180,7 +169,9 @@ def test_a_sensor_that_stands_still_has_no_size_of_lag() -> None:
         return np.column_stack([record.outputs[:, 0], still])
 
     lag = sensor_lag("late", "r", scale=1.0)
-    study, fit = Study.begin(yaw_model(), spoilt(train, dead), None, (lag,), known_noise=False)
+    study, fit = Study.begin(
+        yaw_model(), with_outputs(train, dead), None, (lag,), known_noise=False
+    )
     ended = study.estimate((lag.widened(),), {**fit.values, "E_late": 1e7}, fit)
     assert ended is not None
     asked = claim(study, fit, ended, (lag,), 10.0)
@@ -198,7 +189,7 @@ def test_a_rate_in_knots_has_a_size_of_scale() -> None:
         return record.outputs * [1.0, KNOTS]
 
     found = improve(
-        yaw_model(), spoilt(train, knots), spoilt(test, knots),
+        yaw_model(), with_outputs(train, knots), with_outputs(test, knots),
         candidates=(sensor_scale("scale", "r"), sensor_bias("bias", "r", "rad/s", scale=0.01)),
     )  # fmt: skip
     assert [step.added for step in found.steps] == ["scale"]
@@ -469,7 +460,6 @@ def test_what_averages_the_noise_of_an_input_is_no_delay(late: float) -> None:
     effect, needed = sensor_delay("late", "F"), threshold(1, 1)
     study, base = Study.begin(MOTOR, driven(3, late), None, [effect], known_noise=False)
     found = study.estimate([effect], dict(base.values) | {"E_late": 0.01}, base)
-    assert found is not None
     assert base.objective - found.objective > needed
     decided = claim(study, base, found, [effect], needed)
     if late:

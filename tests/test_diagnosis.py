@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import turning_ship
+from altered import with_outputs
 from golden_files import restored
 from marks import slow
 from motion import small
@@ -24,7 +25,7 @@ from turning_ship import improved as improved_ship
 from benchmarks.missing_physics.cases import true_derivatives
 from benchmarks.missing_physics.judge import datasets, nominal
 from benchmarks.missing_physics.simulator import TEST, TRAIN, Case, simulate
-from oed_sysid import Dataset, Fit, Model, Record, improve, load_problem, read_csv, simulate_inputs
+from oed_sysid import Dataset, Fit, Record, improve, load_problem, read_csv, simulate_inputs
 from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.evidence import improvement
 from oed_sysid.evidence.compare import Comparison, compare, forecasts
@@ -40,7 +41,6 @@ from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics import Force, Parameter, sensor_bias
-from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.text.units import same_dimension
 
 NOMINAL = SHIP.with_values({"K": 0.5, "T": 4.0})
@@ -173,7 +173,7 @@ def records(seed: int, duration: float = 40.0, **hidden: float) -> Dataset:
     case = Case("test", true_derivatives(np.random.default_rng(seed)), hidden, seed=seed)
     (found,) = simulate([case], (*TRAIN, *TEST))
     train, _ = datasets(PROBLEM, found)
-    return Dataset([record.window(0.0, duration) for record in train.records[:2]])
+    return Dataset(record.window(0.0, duration) for record in train.records[:2])
 
 
 def begun(train):  # type: ignore[no-untyped-def]
@@ -193,7 +193,6 @@ def test_a_missing_heave_force_is_found_in_the_heave_equation(drag) -> None:  # 
     """A cross-flow drag is located in Z, and the true structure's signature agrees best."""
     train, study, fit = drag
     right = study.estimate(study.candidates, fit.values, fit, max_iterations=25)
-    assert right is not None
     assert right.values["Z_d"] == pytest.approx(DRAG, rel=0.1)
     found = locate(fit, study.unit, {"drag": right})
     assert found.best == "force Z"
@@ -371,7 +370,6 @@ def test_a_cubic_damping_is_proposed_with_its_value() -> None:
     train = records(4, 45.0, unknown_cubic_pitch_damping=-250.0)
     study, fit = Study.begin(PROBLEM.model, train, None, (), known_noise=False)
     found = propose(study, fit, n_refits=4)
-    assert found.best is not None
     assert found.best.term.equation == "M"
     assert "M_qqq q^3" in found.group
     cubic = next(p for p in found.proposals if p.term.text == "M_qqq q^3")
@@ -408,16 +406,15 @@ def test_models_without_axes_have_a_dictionary() -> None:
 def test_powers_of_a_position_are_there_where_a_force_knows_it() -> None:
     """A spring that may harden as a mooring does; a depth that no force knows has none."""
     for spring, known in (("- k*z", True), ("", False)):
-        model = Model(
+        model = small(
             "moored",
-            states=(State("w", "m/s"), State("z", "m")),
-            inputs=(Input("push", "N"),),
-            outputs=(Output("z", "m", noise_std=0.01),),
+            "w [m/s], z [m] <- push [N]",
+            {"z": "w"},
+            {"c [kg/s]": 8.0, "k [N/m]": 15.0},
+            {"z": 0.01},
             axes={"Z": "w"},
             inertia={("Z", "w"): "20.0"},
-            kinematics={"z": "w"},
             effects=(Force("hull", {"Z": f"push - c*w {spring}"}),),
-            parameters=(Parameter("c", 8.0, "kg/s"), Parameter("k", 15.0, "N/m")),
         )
         found = terms(
             model, (Cause("w", "m/s", "motion", False), Cause("z", "m", "position", False))
@@ -717,10 +714,7 @@ def test_forces_act_only_where_they_are_let_in() -> None:
 
 def test_a_misfit_without_a_claim_is_not_nothing() -> None:
     """A yaw rate of the other sign: nothing is claimed, and nothing is certified either."""
-    spoilt = [
-        Dataset([replace(r, outputs=r.outputs * [1.0, -1.0]) for r in dataset(seed)])
-        for seed in (11, 12)
-    ]
+    spoilt = (with_outputs(dataset(seed), lambda r: r.outputs * [1.0, -1.0]) for seed in (11, 12))
     found = improve(SHIP, *spoilt, candidates=CANDIDATES)
     assert found.steps == ()
     assert found.final_error["test"] > 10
@@ -822,7 +816,6 @@ def test_every_step_is_a_fit(found: Improvement) -> None:
     assert len(found.fits) == 2
     for fit in found.fits:
         assert isinstance(fit, Fit)
-        assert fit.noise is not None
         assert fit.noise.has_forces
         assert fit.innovations is not None
     last = found.fit
@@ -867,10 +860,8 @@ def test_errors_in_units_of_the_noise_are_those_of_the_table(found: Improvement)
 
 def biased(seed: int, cubic: float = 0.0) -> Dataset:
     """Records of a ship whose gyro has another bias on each."""
-    shifted: list[Record] = []
-    for part, size in zip(dataset(seed, cubic), BIASES, strict=True):
-        shifted.append(part.with_outputs(part.outputs + np.array([0.0, size])))
-    return Dataset(shifted)
+    runs = zip(dataset(seed, cubic), BIASES, strict=True)
+    return Dataset(part.with_outputs(part.outputs + np.array([0.0, size])) for part, size in runs)
 
 
 def test_a_bias_of_each_record_is_a_candidate() -> None:

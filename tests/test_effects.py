@@ -14,18 +14,7 @@ from marks import slow
 from motion import small
 from scipy.integrate import solve_ivp
 
-from oed_sysid import (
-    Actuator,
-    Force,
-    Input,
-    Model,
-    Output,
-    Parameter,
-    Sensor,
-    State,
-    load_problem,
-    simulate_inputs,
-)
+from oed_sysid import Actuator, Force, Model, Parameter, Sensor, load_problem, simulate_inputs
 from oed_sysid import physics as effects
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.errors import DataError, ModelError
@@ -82,19 +71,16 @@ MECHANICAL = (
 
 def pendulum(*effects: Effect) -> Model:
     """A driven pendulum of unit inertia."""
-    return Model(
+    known = {"J": (1.0, "kg m^2"), "k": (2.0, "N m/rad")}
+    return small(
         "pendulum",
-        (State("phi", "rad"), State("p", "rad/s")),
-        (Input("torque", "N m", interpolation="linear"),),
-        (Output("phi", "rad"), Output("p", "rad/s")),
+        "phi [rad], p [rad/s] <- torque [N m]",
         {"phi": "p"},
+        [Parameter(name, *said, fixed=True) for name, said in known.items()],
+        interpolation="linear",
         axes={"K": "p"},
         inertia={("K", "p"): "J"},
         effects=(Force("drive", {"K": "torque - k*phi"}), *effects),
-        parameters=(
-            Parameter("J", 1.0, "kg m^2", fixed=True),
-            Parameter("k", 2.0, "N m/rad", fixed=True),
-        ),
         step=0.01,
     )
 

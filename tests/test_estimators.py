@@ -10,23 +10,24 @@ from altered import overwritten
 from marks import slow
 from motion import small
 
-from oed_sysid import Dataset, Experiment, Fit, Multisine, Record, baselines, simulate
+from oed_sysid import Dataset, Experiment, Fit, Model, Multisine, Record, baselines, simulate
 from oed_sysid.baselines import MultipleShooting, Multistart
 from oed_sysid.baselines.contest import load_scenario
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.noise_levels import credible_levels, white_levels
 from oed_sysid.likelihood.start_guess import measured_states
 from oed_sysid.physics import Force, Parameter
-from oed_sysid.physics.channels import Channels, Input, Output, State
-from oed_sysid.physics.model import Model
+from oed_sysid.physics.channels import Channels, Output
 from oed_sysid.testing import check_estimator
 
-YAW = Model(
+YAW = small(
     "yaw",
-    (State("psi", "rad"), State("r", "rad/s", scale=0.1)),
-    (Input("delta", "rad", interpolation="linear"),),
-    (Output("psi", "rad", noise_std=2e-3), Output("r", "rad/s", noise_std=1e-3)),
-    kinematics={"psi": "r"},
+    "psi [rad], r [rad/s] <- delta [rad]",
+    {"psi": "r"},
+    [Parameter("I", 5.0, "kg m^2", fixed=True)],
+    {"psi": 2e-3, "r": 1e-3},
+    scales={"r": 0.1},
+    interpolation="linear",
     axes={"N": "r"},
     inertia={("N", "r"): "I"},
     effects=(
@@ -40,7 +41,6 @@ YAW = Model(
             ),
         ),
     ),
-    parameters=(Parameter("I", 5.0, "kg m^2", fixed=True),),
 )
 TEST = Experiment(
     "multisine", Multisine("delta", (0.02, 0.05, 0.1, 0.16), amplitudes=(0.2,) * 4), duration=80.0
@@ -203,7 +203,7 @@ def test_points_far_out_make_the_unscented_filter_too_sure() -> None:
     held: dict[float, list[bool]] = {3.0**0.5: [], 4.0: []}
     for seed in range(8):
         rng = np.random.default_rng(seed)
-        data = Dataset(tuple(simulate(model, run, rng=rng) for run in scenario.train))
+        data = Dataset(simulate(model, run, rng=rng) for run in scenario.train)
         away = {n: v * (1 + 0.3 * rng.uniform(-1, 1)) for n, v in scenario.truth.items()}
         for reach, found in held.items():
             filter_ = baselines.JointKalmanFilter("unscented", reach=reach)

@@ -35,7 +35,6 @@ from oed_sysid.baselines.least_squares import TotalLeastSquares, generalised_tls
 from oed_sysid.baselines.support_vectors import train
 from oed_sysid.errors import DataError, ModelError, PrecisionWarning, library
 from oed_sysid.physics import Actuator, Force, Memory, Sensor
-from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.testing import check_estimator
 
@@ -474,26 +473,17 @@ SAMPLING = 0.5
 def ship(values: dict[str, float] | None = None) -> Model:
     """Linear sway and yaw; start values are far off."""
     values = values or {name: 0.5 * value for name, value in TRUTH.items()}
-    units = {
-        "Y_v": "1/s",
-        "Y_r": "m/s",
-        "Y_d": "m/s^2",
-        "N_v": "1/(m s)",
-        "N_r": "1/s",
-        "N_d": "1/s^2",
-    }
-    free = {name: Parameter(name, value, units[name]) for name, value in values.items()}
-    sway, yaw = ("Y_v", "Y_r", "Y_d"), ("N_v", "N_r", "N_d")
-    return Model(
+    units = ("1/s", "m/s", "m/s^2", "1/(m s)", "1/s", "1/s^2")
+    free = [Parameter(*one, unit) for one, unit in zip(values.items(), units, strict=True)]
+    return small(
         "ship",
-        (State("v", "m/s"), State("r", "rad/s")),
-        (Input("d", "rad"),),
-        (Output("v", "m/s", noise_std=0.02), Output("r", "rad/s", noise_std=0.0005)),
+        "v [m/s], r [rad/s] <- d [rad]",
+        noise={"v": 0.02, "r": 0.0005},
         axes={"Y": "v", "N": "r"},
         inertia={("Y", "v"): "1", ("N", "r"): "1"},
         effects=(
-            Force("sway", {"Y": "Y_v*v + Y_r*r + Y_d*d"}, tuple(free[n] for n in sway)),
-            Force("yaw", {"N": "N_v*v + N_r*r + N_d*d"}, tuple(free[n] for n in yaw)),
+            Force("sway", {"Y": "Y_v*v + Y_r*r + Y_d*d"}, free[:3]),
+            Force("yaw", {"N": "N_v*v + N_r*r + N_d*d"}, free[3:]),
         ),
         step=0.5,
     )

@@ -52,22 +52,10 @@ def interpreted(kernel: FilterKernel) -> FilterKernel:
 def assert_same(one: FilterPass, other: FilterPass) -> None:
     """Everything that two passes return is the same, to rounding."""
     assert one.failed_at == other.failed_at == -1
-    for name in (
-        "gram",
-        "level_slope",
-        "level_information",
-        "log_variance",
-        "square",
-        "innovations",
-        "variances",
-        "rows",
-        "path",
-        "gains",
-        "moves",
-    ):
-        if getattr(one, name) is None:
+    for name, value in vars(one).items():
+        if value is None:
             continue
-        a, b = (np.asarray(getattr(part, name)) for part in (one, other))
+        a, b = np.asarray(value), np.asarray(getattr(other, name))
         size = np.abs(np.nan_to_num(b)).max(initial=1e-300)
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * size, err_msg=name)
 
@@ -178,7 +166,6 @@ def test_replay_repeats_the_filter_and_shows_what_a_value_changes(
         along = Along(times, inputs, values, own, measured, noise, longest_step=longest_step)
         found = filter_.filter(along, names=("X_absuu",), own_columns=False, rows=True, gains=True)
         assert found.gains is not None
-        assert found.rows is not None
         same, other = (
             filter_.replay(replace(along, values=at), found.gains) for at in (values, moved)
         )
@@ -452,7 +439,6 @@ def test_responses_are_those_of_the_filter() -> None:
     path = Path.of(found, len(noise.coloured), noise.n_second)
     drive = np.zeros((*path.closed.shape[:2], 2))
     drive[0] = path.closed[0][:, :2]
-    assert found.rows is not None
     later = np.isfinite(found.innovations)
     later[0] = False
     expected = found.rows[:, :, :2][later]
@@ -582,7 +568,6 @@ def test_tangents_of_levels_are_exact_on_a_linear_model(
     slope = found.level_slope[position] + found.gram[n_columns + position, -1]
     expected = 0.5 * (up.objective - down.objective) / (2 * size * unit)
     assert slope == pytest.approx(expected, rel=1e-6)
-    assert found.rows is not None
     root = np.sqrt(found.variances)
     seen = np.isfinite(found.innovations)
     moved = (up.innovations - down.innovations) / (2 * size * unit) / root
@@ -600,7 +585,6 @@ def test_columns_are_exact_where_the_gain_does_not_move() -> None:
     """Derivatives by start states and by a gain that only scales the input equal differences."""
     noise = ship_noise(variance=np.array([4e-4, 0.0]))
     found = linear_pass(noise, names=("K", "T"), rows=True)
-    assert found.rows is not None
     size = 1e-4
     pairs = []
     for i in range(2):
@@ -637,17 +621,10 @@ def _levels(*, own_times: bool) -> Levels:
         outputs=("u", "q"),
         places=("force Z", "input ds"),
     )
-    unit = NoiseModel(
-        noise.white, np.ones(2), np.ones(2), np.ones(2), np.ones(2), noise.outputs, noise.places
-    )
-    return Levels.of(
-        noise,
-        unit,
-        white=np.array([True, False]),
-        colour=np.array([False, True]),
-        force=True,
-        own_times=own_times,
-    )
+    parts = ("colour", "force", "colour_time", "force_time")
+    unit = replace(noise, **dict.fromkeys(parts, np.ones(2)))
+    free = {"white": np.array([True, False]), "colour": np.array([False, True]), "force": True}
+    return Levels.of(noise, unit, own_times=own_times, **free)
 
 
 @pytest.mark.parametrize("own_times", [False, True])

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from altered import overwritten
+from altered import overwritten, with_outputs
 from golden_files import restored
 from marks import slow
 from motion import small
@@ -16,12 +16,11 @@ from test_design import ship, straight, weak_and_strong
 from test_information import ar1
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
-from oed_sysid import Dataset, Fit, Model, Record, Solver, simulate_inputs
+from oed_sysid import Dataset, Fit, Model, Parameter, Record, Solver, simulate_inputs
 from oed_sysid.baselines import MultipleShooting, Multistart, profile
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.between_records import CHANCE, Sources, sources_of
 from oed_sysid.likelihood.shooting import Shooting
-from oed_sysid.physics.parameters import Parameter
 
 KNOWN = MultipleShooting(noise=NOISE, disturbances="none")
 
@@ -89,7 +88,7 @@ def test_saved_fit_comes_back(fit: Fit, tmp_path) -> None:  # type: ignore[no-un
 def test_infinite_errors_survive_the_file(tmp_path) -> None:  # type: ignore[no-untyped-def]
     """What is not identifiable is still so after loading."""
     model = yaw_model().with_values({"K": 0.0, "alpha": 1.0}).fix("K")
-    quiet = Dataset(tuple(r.with_outputs(0.0 * r.outputs + NOISE) for r in yaw_data(3)))
+    quiet = with_outputs(yaw_data(3), lambda record: 0.0 * record.outputs + NOISE)
     restored(KNOWN.fit(model, quiet), tmp_path)
 
 
@@ -97,9 +96,7 @@ def test_coloured_residuals_widen_the_errors() -> None:
     """Slow noise of the same size gives larger, honest errors, and the report says why."""
     rng = np.random.default_rng(4)
     white = yaw_data(4, noise=np.zeros(2))
-    remembering = Dataset(
-        [r.with_outputs(r.outputs + NOISE * ar1(r.n_samples, 0.9, rng, 2)) for r in white]
-    )
+    remembering = with_outputs(white, lambda r: r.outputs + NOISE * ar1(r.n_samples, 0.9, rng, 2))
     fit = KNOWN.fit(yaw_model(), remembering)
     plain = replace(KNOWN, coloured="never").fit(yaw_model(), remembering)
     assert fit.coloured
@@ -131,7 +128,6 @@ def linear(rng: np.random.Generator, n_records: int, shift: float = 0.0) -> Sour
     joint = np.linalg.solve(whole, prior @ mean + np.sum(own, axis=0))
     scores = [right - matrix @ joint for matrix, right in zip(matrices, own, strict=True)]
     found = sources_of(matrices, scores, prior)
-    assert found is not None
     np.testing.assert_allclose(found.scores[0], prior @ (mean - joint), atol=1e-9)
     return found
 
@@ -192,7 +188,6 @@ def test_a_missing_term_shows_where_runs_differ_in_strength(estimator: MultipleS
         data = weak_and_strong(np.random.default_rng((7, seed)))
         lacking, right = estimator.fit(straight(), data), estimator.fit(ship(), data)
         for fit, chances in ((lacking, contradicted), (right, plain)):
-            assert fit.sources is not None
             chances.append(fit.sources.agreement(stated=fit.covariance).chance)
     assert sum(chance < CHANCE for chance in contradicted) >= 7
     assert sum(chance < CHANCE for chance in plain) == 0
@@ -258,13 +253,11 @@ def test_derivatives_are_those_by_the_logarithm() -> None:
     unknowns = shooting.start_unknowns()
     assert unknowns[0] == pytest.approx(np.log(0.3))
     lin = shooting.linearise(shooting.continuous(unknowns))
-    assert lin is not None
     ends = []
     for sign in (1, -1):
         moved = unknowns.copy()
         moved[0] += sign * 1e-5
         there = shooting.linearise(shooting.continuous(moved))
-        assert there is not None
         ends.append(data[0].outputs - there.residuals[0])
     found = lin.jacobians[0][:, :, 1]
     assert found == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=1e-8)

@@ -204,7 +204,7 @@ def diving(n: int = 300) -> Shooting:
     for p in model.free_parameters:
         start = replace(p, value=0.9 * p.value, prior_mean=None, prior_std=None)
         model = model.with_parameter(start)
-    return Shooting(model, Dataset(tuple(records)), SIGMA)
+    return Shooting(model, Dataset(records), SIGMA)
 
 
 def yaw_with_own_gain() -> Shooting:
@@ -314,18 +314,9 @@ def test_segments_without_ends_have_the_same_sums() -> None:
     model, times, inputs, outputs = dive()
     starts = np.arange(0, len(times), 4, dtype=np.intc)
     nodes = np.nan_to_num(outputs[starts])
+    given = times, inputs, model.value_vector, nodes, outputs, SIGMA
     both = [
-        Kernel.gather(
-            Kernel(model),
-            times,
-            inputs,
-            model.value_vector,
-            nodes,
-            outputs,
-            SIGMA,
-            starts=starts,
-            linked=linked,
-        )
+        Kernel.gather(Kernel(model), *given, starts=starts, linked=linked)
         for linked in (True, False)
     ]
     assert np.array_equal(both[0].gram, both[1].gram)

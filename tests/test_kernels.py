@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 from vehicles import remus, roll_oscillator
 
 from benchmarks import truth
-from oed_sysid import Input, Model, Output, Parameter, State
+from oed_sysid import Model
 from oed_sysid import physics as effects
 from oed_sysid.compiled import compile as compiling
 from oed_sysid.compiled.filtering import filter_kernel
@@ -57,7 +57,6 @@ def test_a_part_of_a_larger_kernel_runs_as_its_own() -> None:
     absent, model = [e for e in whole.effects if e.name in gone], whole.without(*gone)
     wide = filter_kernel(disturbed_model(model + [e.absent() for e in absent], ()))
     part, own = wide.part(model, active_components(wide.model, model)), kernel(model)
-    assert part is not None
     inputs, values, starts = commands(times), model.value_vector, np.arange(0, 121, 30)
     z, dz = own.start(START, inputs[0], values, 0.0)
     for found, expected in zip(part.start(START, inputs[0], values, 0.0), (z, dz), strict=True):
@@ -118,7 +117,6 @@ def test_sensitivities_equal_finite_differences() -> None:
     machine, inputs, values = Kernel(model, compiled=True), commands(times), model.value_vector
     z, _ = machine.start(START, inputs[0], values, 0.0)
     exact = machine.run(times, inputs, values, z, sensitivities=True).output_sensitivities
-    assert exact is not None
     columns = [(z, index) for index in range(machine.n_full)]
     columns += [(values, model.parameter_names.index(name)) for name in model.free_names]
     assert exact.shape[2] == len(columns)
@@ -196,7 +194,6 @@ def test_segments_join_to_the_continuous_run(compiled: bool) -> None:
     np.testing.assert_allclose(parts.ends[:-1], nodes[1:], atol=1e-12)
     assert_same(carried, parts, atol=1e-9)
     assert parts.end_sensitivities is not None
-    assert whole.end_sensitivities is not None
     n, total = machine.n_full, np.eye(machine.n_full, machine.n_columns)
     for block in parts.end_sensitivities:
         moved = block[:, :n] @ total
@@ -207,15 +204,9 @@ def test_segments_join_to_the_continuous_run(compiled: bool) -> None:
 
 def accumulator(interpolation: str, step: float = 0.1) -> Model:
     """Integral of the input, with a known decay."""
-    return Model(
-        "accumulator",
-        states=(State("x", "m"),),
-        inputs=(Input("u", "m/s", interpolation=interpolation),),
-        outputs=(Output("x", "m"),),
-        kinematics={"x": "u - k*x"},
-        parameters=(Parameter("k", 0.0, "1/s"),),
-        step=step,
-    )
+    law, decay = {"x": "u - k*x"}, {"k [1/s]": 0.0}
+    how = {"interpolation": interpolation, "step": step}
+    return small("accumulator", "x [m] <- u [m/s]", law, decay, **how)
 
 
 @pytest.mark.parametrize("compiled", [True, False])
@@ -240,7 +231,6 @@ def test_irregular_sampling_of_a_decay() -> None:
     result = machine.run(times, zeros, np.array([0.8]), np.ones(1), sensitivities=True)
     exact = np.exp(-0.8 * times)
     np.testing.assert_allclose(result.outputs[:, 0], exact, atol=1e-10)
-    assert result.output_sensitivities is not None
     np.testing.assert_allclose(result.output_sensitivities[:, 0, 0], exact, atol=1e-10)
     np.testing.assert_allclose(result.output_sensitivities[:, 0, 1], -times * exact, atol=1e-9)
 
@@ -256,19 +246,13 @@ def test_linear_input_through_the_whole_chain() -> None:
         machine = Kernel(model, compiled=compiled)
         results.append(machine.run(times, moment, model.value_vector, start, sensitivities=True))
     assert_same(*results, atol=1e-11)
-    exact = solve_ivp(
-        lambda t, x: [
-            x[1],
-            (np.interp(t, times, moment[:, 0]) - 0.2 * x[1] - 2 * np.sin(x[0])) / 2,
-        ],
-        (0, times[-1]),
-        start,
-        "RK45",
-        times,
-        rtol=1e-9,
-        atol=1e-10,
-        max_step=0.05,
-    )
+
+    def rolling(t: float, x: np.ndarray) -> list[float]:
+        acting = np.interp(t, times, moment[:, 0]) - 0.2 * x[1] - 2 * np.sin(x[0])
+        return [x[1], acting / 2]
+
+    accuracy = {"rtol": 1e-9, "atol": 1e-10, "max_step": 0.05}
+    exact = solve_ivp(rolling, (0, times[-1]), start, "RK45", times, **accuracy)
     np.testing.assert_allclose(results[0].outputs, exact.y.T, atol=1e-6)
 
 
@@ -430,7 +414,6 @@ def test_changed_source_is_another_library(tmp_path: Path, monkeypatch: pytest.M
 
     def answer(text: str, *flags: str) -> int:
         library = compiling.load_source("answer", lambda: text, what="a number", flags=flags)
-        assert library is not None
         return library.answer()
 
     assert answer("int answer(void) { return 1; }") == 1

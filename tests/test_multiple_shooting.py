@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from altered import overwritten
+from altered import overwritten, with_outputs
 from marks import slow
 from motion import small
 from scipy.optimize import least_squares
@@ -27,15 +27,18 @@ ESTIMATOR = MultipleShooting(noise=NOISE, coloured="never", disturbances="none")
 
 
 def reference(
-    data: Dataset, prior: dict[str, tuple[float, float]] | None = None
+    data: Dataset,
+    prior: dict[str, tuple[float, float]] | None = None,
+    held: dict[str, float] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Optimum, covariance of (K, T, alpha) and half the sum of squares, by SciPy."""
-    names = list(TRUE)
+    """Optimum, covariance of what is not held and half the sum of squares, by SciPy."""
+    held = held or {}
+    names = [name for name in TRUE if name not in held]
+    n = len(names)
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        values, parts = dict(zip(names, x, strict=False)), []
-        for index, record in enumerate(data):
-            start = x[3 + 2 * index : 5 + 2 * index]
+        values, parts = held | dict(zip(names, x[:n], strict=True)), []
+        for start, record in zip(x[n:].reshape(-1, 2), data, strict=True):
             model = simulate_yaw(record.times, record.inputs[:, 0], start, values)
             scaled = (record.outputs - model) / NOISE
             parts.append(scaled[np.isfinite(scaled)])
@@ -44,11 +47,11 @@ def reference(
         return np.concatenate(parts)
 
     starts = [np.nan_to_num(record.outputs[0]) for record in data]
-    guess = np.concatenate([list(TRUE.values()), *starts])
-    scale = np.concatenate([np.abs(guess[:3]), np.full(len(guess) - 3, 0.05)])
+    guess = np.concatenate([[TRUE[name] for name in names], *starts])
+    scale = np.concatenate([np.abs(guess[:n]), np.full(len(guess) - n, 0.05)])
     found = least_squares(residuals, guess, x_scale=scale, xtol=1e-12, ftol=1e-12, gtol=1e-12)
     covariance = np.linalg.inv(found.jac.T @ found.jac)
-    return found.x, covariance[:3, :3], found.cost
+    return found.x, covariance[:n, :n], found.cost
 
 
 def errors_apart(estimates: np.ndarray, others: np.ndarray, covariance: np.ndarray) -> float:
@@ -101,26 +104,14 @@ def test_priors_are_observations() -> None:
 def test_active_bounds_give_the_constrained_optimum() -> None:
     """With a bound in the way, the others settle where SciPy has them with that value held."""
     data = yaw_data(4)
-    names = list(TRUE)
-
-    def residuals(x: np.ndarray) -> np.ndarray:
-        values = dict(zip(names, [x[0], 7.5, x[1]], strict=True))
-        parts = []
-        for index, record in enumerate(data):
-            start = x[2 + 2 * index : 4 + 2 * index]
-            model = simulate_yaw(record.times, record.inputs[:, 0], start, values)
-            parts.append(((record.outputs - model) / NOISE).ravel())
-        return np.concatenate(parts)
-
-    begin = np.concatenate([[0.12, 12.0], *(record.outputs[0] for record in data)])
-    expected = least_squares(residuals, begin, x_scale=np.abs(begin) + 0.05, xtol=1e-12)
+    expected, _, cost = reference(data, held={"T": 7.5})
     parameter = Parameter("T", 6.0, "s", lower=0.5, upper=7.5)
     fit = ESTIMATOR.fit(yaw_model(T=parameter), data)
     assert fit.status.ok
     assert fit.values["T"] == 7.5
     assert "at bound" in fit.report()
-    assert fit.cost == pytest.approx(expected.cost, abs=1e-3)
-    assert fit.values["K"] == pytest.approx(expected.x[0], rel=1e-4)
+    assert fit.cost == pytest.approx(cost, abs=1e-3)
+    assert fit.values["K"] == pytest.approx(expected[0], rel=1e-4)
 
 
 def test_fixed_parameters_stay_and_others_follow() -> None:
@@ -134,9 +125,7 @@ def test_parameters_per_record() -> None:
     """A rudder effectiveness that differs by record is found for each; the rest is shared."""
     rng = np.random.default_rng(6)
     gains = {"a": 0.08, "b": 0.12, "c": 0.16}
-    data = Dataset(
-        tuple(yaw_record(name, rng, n=300, values={"K": gain}) for name, gain in gains.items())
-    )
+    data = Dataset(yaw_record(name, rng, n=300, values={"K": gain}) for name, gain in gains.items())
     fit = ESTIMATOR.fit(yaw_model(K=Parameter("K", 0.1, "1/s", per_record=True)), data)
     assert fit.names == ("T", "alpha")
     assert [v["K"] for v in fit.local_values] == pytest.approx(list(gains.values()), rel=0.05)
@@ -172,13 +161,14 @@ def test_robust_losses_ignore_outliers(loss: str) -> None:
     """With 5 % gross outliers the square is far off, robust losses are not."""
     data = yaw_data(9)
     rng = np.random.default_rng(9)
-    spoiled = []
-    for record in data:
+
+    def spoilt(record: Record) -> np.ndarray:
         outputs = record.outputs.copy()
         hit = rng.random(outputs.shape) < 0.05
         outputs[hit] += (rng.uniform(5, 40, hit.sum())) * np.broadcast_to(NOISE, hit.shape)[hit]
-        spoiled.append(record.with_outputs(outputs))
-    bad = Dataset(tuple(spoiled))
+        return outputs
+
+    bad = with_outputs(data, spoilt)
     clean = ESTIMATOR.fit(yaw_model(), data)
     robust = MultipleShooting(noise=NOISE, loss=loss, coloured="never").fit(yaw_model(), bad)
     square = replace(ESTIMATOR, loss="square").fit(yaw_model(), bad)
@@ -364,9 +354,7 @@ def test_a_fit_with_derivatives_beyond_numbers_still_answers(
     model = small("steep", "w [m/s] <- T [N]", law, {"b": 1.0}, 1e-3)
     rng, times = np.random.default_rng(5), np.arange(0.0, 20.0, 0.1)
     inputs, noise = np.sign(np.sin(times))[:, None], rng.normal(size=(2, len(times), 1))
-    data = Dataset(
-        tuple(Record(f"r{i}", times, inputs, y, model.channels) for i, y in enumerate(noise))
-    )
+    data = Dataset(Record(f"r{i}", times, inputs, y, model.channels) for i, y in enumerate(noise))
     few = MultipleShooting(disturbances=disturbances, solver=Solver(max_iterations=3))
     fit = few.fit(model, data)
     assert fit.status.code == "diverged"
@@ -381,42 +369,29 @@ def test_a_fit_with_derivatives_beyond_numbers_still_answers(
         profile(fit, "b")
 
 
+OF_ANOTHER_KIND = {
+    MultipleShooting: [
+        ({"horizon": float("inf")}, "horizon is inf. Give seconds above zero, or None"),
+        ({"horizon": "10"}, "horizon is '10'"),
+        ({"disturbances": None}, "disturbances is None. Choose auto, none, all"),
+        ({"disturbances": (1,)}, r"disturbances is \(1,\)"),
+        ({"noise": {"r": 0.1}}, "noise is {'r': 0.1}. Choose auto, given, estimate or a list"),
+        ({"noise": None}, "noise is None"),
+        ({"solver": "ipopt"}, r"Write solver=Solver\('ipopt'\)"),
+        ({"max_iterations": 40}, r"no argument 'max_iterations'. Write solver=Solver\(max_iter"),
+        ({"constraints": ("K > 0",)}, "MultipleShooting has no argument 'constraints'"),
+        ({"interval": "5"}, "Shooting interval is '5'. Give a positive length in s"),
+    ],
+    Solver: [
+        ({"max_iterations": 2.5}, "max_iterations is 2.5. Give a whole number, 1 or more"),
+        ({"tolerance": "small"}, "tolerance is 'small'. Give a positive number"),
+    ],
+}
+
+
 @pytest.mark.parametrize(
     ("kind", "options", "words"),
-    [
-        (
-            MultipleShooting,
-            {"horizon": float("inf")},
-            "horizon is inf. Give seconds above zero, or None",
-        ),
-        (MultipleShooting, {"horizon": "10"}, "horizon is '10'"),
-        (MultipleShooting, {"disturbances": None}, "disturbances is None. Choose auto, none, all"),
-        (MultipleShooting, {"disturbances": (1,)}, r"disturbances is \(1,\)"),
-        (
-            MultipleShooting,
-            {"noise": {"r": 0.1}},
-            "noise is {'r': 0.1}. Choose auto, given, estimate or a list",
-        ),
-        (MultipleShooting, {"noise": None}, "noise is None"),
-        (MultipleShooting, {"solver": "ipopt"}, r"Write solver=Solver\('ipopt'\)"),
-        (
-            MultipleShooting,
-            {"max_iterations": 40},
-            r"no argument 'max_iterations'. Write solver=Solver\(max_iter",
-        ),
-        (
-            MultipleShooting,
-            {"constraints": ("K > 0",)},
-            r"MultipleShooting has no argument 'constraints'",
-        ),
-        (
-            MultipleShooting,
-            {"interval": "5"},
-            "Shooting interval is '5'. Give a positive length in s",
-        ),
-        (Solver, {"max_iterations": 2.5}, "max_iterations is 2.5. Give a whole number, 1 or more"),
-        (Solver, {"tolerance": "small"}, "tolerance is 'small'. Give a positive number"),
-    ],
+    [(kind, *row) for kind, rows in OF_ANOTHER_KIND.items() for row in rows],
 )
 def test_options_of_another_kind_are_refused_at_once(kind: type, options: dict, words: str) -> None:
     """What is expected, what was given and what to do, before any record is read."""

@@ -8,18 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion import outputs, states
+from altered import with_inputs
+from motion import small
 from simple_models import nomoto
 from turning_ship import record as turning_record
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model, yaw_record
 
-from oed_sysid import Dataset, Experiment, Force, Input, Model, Output, Parameter, Record, State
+from oed_sysid import Dataset, Experiment, Fit, Force, Input, Model, Parameter, Record, simulate
 from oed_sysid.baselines import EquationError, MultipleShooting
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.experiments.manoeuvres import Piecewise, ZigZag
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.captive import CaptiveTests
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics import actuator_offset, sensor_bias
 from oed_sysid.prediction.speed_polar import SailingNames, speed_polar
 from oed_sysid.prediction.turning_circle import turning_circle
@@ -130,9 +129,7 @@ def test_identifiable_combination_predicts_with_finite_bands() -> None:
     """A parameter that does not matter leaves bands finite; one that does makes them infinite."""
     data = yaw_data(5)
     model = yaw_model()
-    still = Dataset(
-        tuple(type(r)(r.name, r.times, 0 * r.inputs, r.outputs, r.channels) for r in data)
-    )
+    still = with_inputs(data, lambda record: 0 * record.inputs)
     fit = MultipleShooting(noise=NOISE, coloured="never").fit(model, still)
     assert np.isinf(fit.std_errors["K"])
     assert np.isfinite(fit.predict(still).std[0]).all()
@@ -147,15 +144,8 @@ TIMES = np.arange(0.0, 10.0, 0.2)
 def body(drag: str, *parameters: str) -> Model:
     """A body that slows down."""
     force = Force("drag", {"X": drag}, tuple(Parameter(name, 1.0, "1") for name in parameters))
-    return Model(
-        drag,
-        (State("u", "m/s"),),
-        (),
-        (Output("u", "m/s", noise_std=0.01),),
-        axes={"X": "u"},
-        inertia={("X", "u"): "10"},
-        effects=(force,),
-    )
+    inertia = {("X", "u"): "10"}
+    return small(drag, "u [m/s]", noise=0.01, axes={"X": "u"}, inertia=inertia, effects=(force,))
 
 
 LINEAR = Structure("linear", body("-a*u", "a"), SHOOTING)
@@ -172,7 +162,7 @@ def runs(*speeds: float) -> Dataset:
         noisy = clean + 0.01 * rng.standard_normal(clean.shape)
         empty = np.empty((len(TIMES), 0))
         records.append(Record(f"from {speed}", TIMES, empty, noisy, LINEAR.model.channels))
-    return Dataset(tuple(records))
+    return Dataset(records)
 
 
 def resistance(fit) -> dict[str, float]:
@@ -326,22 +316,16 @@ def test_what_is_about_zero_may_be_wanted_and_not_scored() -> None:
 
 
 # Thrust ~ wind^2 sin(angle) with a quadratic optimum at 0.6 rad of sheet; drag ~ drag*u^2.
-CART = Model(
+CART = small(
     "land yacht",
-    (State("u", "m/s"), State("r", "rad/s"), State("psi", "rad")),
-    (
-        Input("delta", "rad"),
-        Input("sheet", "rad"),
-        Input("wind_speed", "m/s"),
-        Input("wind_from", "rad"),
-    ),
-    outputs("u r psi", u=0.01, r=1e-3, psi=1e-3),
+    "u [m/s], r [rad/s], psi [rad] <- delta [rad], sheet [rad], wind_speed [m/s], wind_from [rad]",
     {
         "u": "(sin(wind_from - psi)*wind_speed**2*(1 - (sheet - 0.6)**2) - drag*u*abs(u))/10",
         "r": "delta - 0.1 - r",
         "psi": "r",
     },
-    parameters=(Parameter("drag", 4.0, "kg/m", lower=0.1),),
+    [Parameter("drag", 4.0, "kg/m", lower=0.1)],
+    {"u": 0.01, "r": 1e-3, "psi": 1e-3},
 )
 ANGLES = np.radians([30.0, 60.0, 90.0])
 SHEETS = (0.2, 0.6, 1.0)
@@ -413,17 +397,18 @@ def test_polar_needs_polar_axes() -> None:
 
 NOMOTO = nomoto(0.1, 8.0, noise=(0.002, 0.0005), step=0.2)
 # A body that loses speed in the turn and drifts, with known steady values.
-DRIFTING = Model(
+DRIFTING = small(
     "drifting ship",
-    states=states("u v r psi", v=0.1, r=0.02),
-    inputs=(Input("rudder", "rad", interpolation="linear"),),
-    outputs=(Output("psi", "rad"),),
-    kinematics={
+    "u [m/s], v [m/s], r [rad/s], psi [rad] <- rudder [rad]",
+    {
         "u": "(2.0 - 10.0*abs(rudder) - u)/5",
         "v": "(-2.0*r - v)/3",
         "r": "(-0.1*rudder - r)/4",
         "psi": "r",
     },
+    noise={"psi": None},
+    scales={"v": 0.1, "r": 0.02},
+    interpolation="linear",
     step=0.2,
 )
 
@@ -507,7 +492,7 @@ def test_imperfect_sensors_do_not_bend_the_track_and_actuators_do() -> None:
     assert ratio == pytest.approx(0.22 / 0.18, rel=1e-3)
 
 
-ROLL = Model("roll", (State("p", "rad/s"),), (Input("fin", "rad"),), outputs("p"), {"p": "fin - p"})
+ROLL = small("roll", "p [rad/s] <- fin [rad]", {"p": "fin - p"})
 TWO_INPUTS = replace(NOMOTO, inputs=(*NOMOTO.inputs, Input("fin", "rad")))
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from altered import with_outputs
 from marks import slow
 from motion import small
 from scipy.optimize import minimize
@@ -27,7 +28,6 @@ from oed_sysid.likelihood.prediction import unknown_series
 from oed_sysid.likelihood.score_test import ScoreTest, Setting, Start, score_test
 from oed_sysid.likelihood.shooting import Point, Shooting
 from oed_sysid.likelihood.windows import Windows
-from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.constants import TOLD_APART
 
@@ -71,7 +71,6 @@ def test_white_data_stay_a_white_fit() -> None:
     """On its own the estimator lets nothing in, and the estimates are those without the test."""
     data = dataset(5)
     auto, plain = MultipleShooting().fit(SHIP, data), WHITE.fit(SHIP, data)
-    assert auto.noise is not None
     assert auto.noise.is_white
     assert auto.innovations is None
     assert auto.process_noise.statistic < TOLD_APART
@@ -88,7 +87,6 @@ def test_disturbed_data_are_found_out(disturbed: Fit) -> None:
     """Level and time lie within three of their errors, and innovations are white."""
     assert disturbed.status.ok
     noise, errors = disturbed.noise, disturbed.noise_std
-    assert noise is not None
     level, time = noise.level("force r")
     times = [value for name, value in errors.items() if name.endswith("time")]
     levels = [value for name, value in errors.items() if name == "force r level"]
@@ -105,15 +103,14 @@ def test_disturbed_data_are_found_out(disturbed: Fit) -> None:
 
 def test_correlated_noise_of_the_sensors_is_no_force() -> None:
     """White and coloured noise of 0.9 s in equal parts: forces had grown to explain the colour."""
-    data, rng = dataset(7), np.random.default_rng(7)
-    coloured = []
-    for one in data:
-        error = np.sqrt(1.0 - 0.8**2) * rng.standard_normal(one.outputs.shape)
-        error[0] = rng.standard_normal(2)
-        for k in range(1, len(error)):
-            error[k] += 0.8 * error[k - 1]
-        coloured.append(one.with_outputs(one.outputs + NOISE * error))
-    fit = MultipleShooting(disturbances="all").fit(SHIP, Dataset(tuple(coloured)))
+    rng = np.random.default_rng(7)
+
+    def coloured(one: Record) -> np.ndarray:
+        white = rng.standard_normal(one.outputs.shape)
+        white[0] = rng.standard_normal(2)
+        return one.outputs + NOISE * gauss_markov(white, 0.8)
+
+    fit = MultipleShooting(disturbances="all").fit(SHIP, with_outputs(dataset(7), coloured))
     assert not fit.noise.has_forces
     assert fit.noise.colour == pytest.approx(NOISE, rel=0.3)
     assert fit.log_likelihood > 4110.0  # 4077 with a force in yaw
@@ -132,7 +129,6 @@ def test_named_disturbances_are_let_in_whatever_the_test_says() -> None:
     """Asked for, the force is estimated on white data too, and its level comes out as nothing."""
     fit = MultipleShooting(disturbances=("r",)).fit(SHIP, dataset(6))
     plain = WHITE.fit(SHIP, fit.dataset)
-    assert fit.noise is not None
     assert fit.noise.places == ("force r",)
     assert fit.noise.force[0] < 0.2 * FORCE
     assert 2 * (fit.log_likelihood - plain.log_likelihood) == pytest.approx(0.0, abs=6.0)
@@ -145,7 +141,6 @@ def test_noise_on_a_logged_input_is_another_place() -> None:
     data = dataset(3, force=FORCE)
     forces = MultipleShooting(disturbances=("r",)).fit(SHIP, data)
     rudder = MultipleShooting(disturbances=("actuator delta",)).fit(SHIP, data)
-    assert rudder.noise is not None
     level, time = rudder.noise.level("actuator delta")
     assert level > 0
     assert time == 0.0
@@ -169,7 +164,6 @@ def test_forces_of_an_earlier_fit_are_not_taken_along_where_none_act(disturbed: 
     """Calm water after a seaway: the fit is white again, and equal to that from a cold start."""
     calm = dataset(5)
     warm, cold = (MultipleShooting().fit(SHIP, calm, warm=fit) for fit in (disturbed, None))
-    assert warm.noise is not None
     assert warm.noise.is_white
     np.testing.assert_allclose(warm.estimates, cold.estimates, rtol=1e-4)
 
@@ -178,9 +172,9 @@ def test_an_unmeasured_velocity_is_started_anywhere() -> None:
     """Heading alone is measured: start rate, force and parameters are found from it."""
     model = replace(SHIP, outputs=SHIP.outputs[:1])
     data = Dataset(
-        [replace(r, outputs=r.outputs[:, :1], channels=model.channels) for r in dataset(
+        replace(r, outputs=r.outputs[:, :1], channels=model.channels) for r in dataset(
             3, n_records=3, force=FORCE
-        )]
+        )
     )  # fmt: skip
     fit = MultipleShooting(disturbances="all").fit(model, data)
     assert fit.status.ok
@@ -188,7 +182,6 @@ def test_an_unmeasured_velocity_is_started_anywhere() -> None:
         assert abs(fit.values[name] - truth) < 4 * fit.std_errors[name]
     for own in fit.initial_states:
         assert abs(own[1]) < 0.05
-    assert fit.noise is not None
     assert FORCE / 2 < fit.noise.force[0] < 2 * FORCE
 
 
@@ -278,7 +271,7 @@ def test_a_fit_without_process_noise_does_not_lead_astray(seed: int) -> None:
     rng = np.random.default_rng(seed)
     true = np.array([*UNDER.values()])
     model = under_the_surface(true * (1 + rng.choice([-1, 1], 9) * rng.uniform(0.1, 0.5, 9)))
-    data = Dataset([depth_held(name, rng, model) for name in ("one", "other")])
+    data = Dataset(depth_held(name, rng, model) for name in ("one", "other"))
     fit, best = (MultipleShooting().fit(m, data) for m in (model, under_the_surface(true)))
     assert fit.log_likelihood > best.log_likelihood - 1.0
     assert fit.status.ok
@@ -289,7 +282,7 @@ def test_a_fit_without_process_noise_does_not_lead_astray(seed: int) -> None:
 def test_an_unstable_ship_in_closed_loop_is_identified() -> None:
     """Where the model on its own runs away, the filter follows: both parameters are covered."""
     rng = np.random.default_rng(8)
-    data = Dataset([unstable_record(f"course_{i}", rng) for i in range(2)])
+    data = Dataset(unstable_record(f"course_{i}", rng) for i in range(2))
     assert max(np.abs(r.outputs[:, 0]).max() for r in data) < 0.5
     fit = MultipleShooting(disturbances="all").fit(UNSTABLE, data)
     assert fit.status.ok
@@ -316,7 +309,6 @@ def test_parameters_of_each_record_go_with_random_forces() -> None:
     assert "b_r" not in fit.names
     for found, truth in zip(fit.local_values, biases, strict=True):
         assert found["b_r"] == pytest.approx(truth, abs=0.002)
-    assert fit.noise is not None
     assert FORCE / 2 < fit.noise.force[0] < 2 * FORCE
 
 
@@ -346,7 +338,6 @@ def test_standard_errors_cover_under_random_forces() -> None:
     scaled, levels, times = [], [], []
     for seed in range(60):
         fit = MultipleShooting(disturbances="all").fit(SHIP, dataset(100 + seed, force=FORCE))
-        assert fit.noise is not None
         scaled.append([(fit.values[n] - v) / fit.std_errors[n] for n, v in truth.items()])
         levels.append(fit.noise.force[0])
         times.append(fit.noise.force_time[0])
@@ -402,7 +393,7 @@ def data() -> Dataset:
         measured = run.outputs + NOISE_INPUTS * rng.standard_normal(run.outputs.shape)
         logged = np.column_stack([rudder, np.zeros(times.size)])
         records.append(Record(f"run_{phase:.0f}", times, logged, measured, BOAT.channels))
-    return Dataset(tuple(records))
+    return Dataset(records)
 
 
 def fitted(model: Model, data: Dataset) -> Fit:
@@ -487,7 +478,7 @@ def test_noise_declared_three_times_too_small_is_found(seed: int) -> None:
         seen[sample % 5 > 0, 0] = np.nan
         seen[sample % 2 > 0, 1] = np.nan  # rates come half as often
         runs.append(run.with_outputs(seen))
-    _, best = Study.begin(model, Dataset(tuple(runs)), None, (), known_noise=False)
+    _, best = Study.begin(model, Dataset(runs), None, (), known_noise=False)
     for name, value in {"K": GAIN, "T": TIME, "n3": -3.0}.items():
         assert best.values[name] == pytest.approx(value, rel=0.25)
     np.testing.assert_allclose(best.noise.white, NOISE, rtol=0.1)
@@ -497,7 +488,7 @@ def test_noise_declared_three_times_too_small_is_found(seed: int) -> None:
 def zigzags() -> Dataset:
     """Four records of a linear ship with declared noise."""
     rng = np.random.default_rng(4)
-    return Dataset(tuple(record(f"run_{i}", rng) for i in range(4)))
+    return Dataset(record(f"run_{i}", rng) for i in range(4))
 
 
 @pytest.mark.parametrize("horizon", [0.2, 1.0, 7.3, 20.0, 1e4])
@@ -529,7 +520,7 @@ def test_intervals_hold_at_ten_seconds() -> None:
     z = []
     for seed in range(15):
         rng = np.random.default_rng([7, seed])
-        data = Dataset(tuple(record(f"run_{i}", rng) for i in range(3)))
+        data = Dataset(record(f"run_{i}", rng) for i in range(3))
         fit = MultipleShooting(disturbances="none", horizon=10.0).fit(SHIP, data)
         assert fit.status.ok
         z += [(fit.values[n] - t) / fit.std_errors[n] for n, t in (("K", GAIN), ("T", TIME))]
@@ -548,7 +539,7 @@ def test_a_short_horizon_costs_precision_where_the_structure_is_right(zigzags: D
 def test_missing_structure_shows_at_long_horizons() -> None:
     """Without the cubic damping of the data the misfit grows with the horizon, with it it stays."""
     rng = np.random.default_rng(2)
-    data = Dataset(tuple(record(f"run_{i}", rng, cubic=-3.0) for i in range(4)))
+    data = Dataset(record(f"run_{i}", rng, cubic=-3.0) for i in range(4))
     for model, low, high in ((SHIP, 1.1, 30.0), (SHIP + CUBIC, 0.95, 1.05)):
         short, long = (
             MultipleShooting(disturbances="none", noise="given", horizon=h).fit(model, data)
@@ -571,7 +562,7 @@ def test_parameters_of_each_record_are_found() -> None:
         kinematics={"psi": "r", "r": "(K*(delta + E_zero) - r)/T"},
         parameters=(*SHIP.parameters, zero),
     )
-    fit = MultipleShooting(disturbances="none", horizon=10.0).fit(model, Dataset(tuple(runs)))
+    fit = MultipleShooting(disturbances="none", horizon=10.0).fit(model, Dataset(runs))
     found = [local["E_zero"] for local in fit.local_values]
     assert found == pytest.approx([-0.05, 0.0, 0.05], abs=0.01)
     assert fit.values["K"] == pytest.approx(GAIN, rel=0.03)
@@ -619,18 +610,14 @@ N_PUSHES, PUSH_STEP, SENSOR, N_PUSHED = 6, 0.5, 0.05, 60
 def pushed(rng: np.random.Generator) -> tuple[Model, Dataset]:
     """A body that is pushed by six known waves of unknown effect, and by a random force."""
     effects = [f"b{i}" for i in range(N_PUSHES)]
-    model = Model(
+    model = small(
         "pushed body",
-        (State("v", "m/s"),),
-        tuple(Input(f"s{i}", "1") for i in range(N_PUSHES)),
-        (Output("v", "m/s", noise_std=SENSOR),),
+        "v [m/s] <- " + ", ".join(f"s{i} [1]" for i in range(N_PUSHES)),
         {"v": "-c*v + " + " + ".join(f"b{i}*s{i}" for i in range(N_PUSHES))},
-        parameters=(
-            Parameter("c", 1.0, "1/s", fixed=True),
-            *(Parameter(name, 1.0, "m/s^2") for name in effects),
-        ),
+        {"c [1/s]": 1.0} | {f"{name} [m/s^2]": 1.0 for name in effects},
+        SENSOR,
         step=PUSH_STEP,
-    )
+    ).fix("c")
     times = PUSH_STEP * np.arange(N_PUSHED)
     waves = np.stack([np.sin(0.15 * (i + 1) * times + i) for i in range(N_PUSHES)], axis=1)
     kept, last = np.exp(-PUSH_STEP / 3.0), np.exp(-PUSH_STEP)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,14 +13,7 @@ from scipy.linalg import expm
 
 import oed_sysid.evidence.search as search_module
 import oed_sysid.evidence.study as study_module
-from oed_sysid import (
-    Dataset,
-    Force,
-    MultipleShooting,
-    Parameter,
-    Record,
-    improve,
-)
+from oed_sysid import Dataset, Force, MultipleShooting, NoiseModel, Parameter, Record, improve
 from oed_sysid.evidence.claim import Claim
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.rank import Ranking, Refit, rank
@@ -38,7 +32,6 @@ from oed_sysid.evidence.search import (
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.laws import Law
-from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import eliminate
 from oed_sysid.likelihood.random_forces import begun
 from oed_sysid.physics import actuator_delay, actuator_lag, sensor_bias
@@ -94,7 +87,6 @@ def test_an_effect_is_estimated_anew_from_nominal_values() -> None:
     swapped = {"a_v": -0.07, "a_r": -3.6, "a_d": 0.65, "c_v": 0.02, "c_r": 0.7, "c_d": 0.06}
     start = base.values | swapped | {"E_rudder_lag": 3.7}
     astray = study.estimate(study.candidates, start, base, noise=study.loosened(base.noise))
-    assert astray is not None
     assert astray.values["E_rudder_lag"] > 3.0
     found = not_astray(study, astray)
     assert found.values["E_rudder_lag"] == pytest.approx(1.5, abs=0.1)
@@ -114,7 +106,6 @@ def test_what_does_as_well_beside_the_model_that_was_made_is_in_its_group() -> N
     data = Dataset((replace(run, inputs=run.inputs - 0.02),))
     study, base = Study.begin(SHIP, data, None, (offset, near, push), known_noise=False)
     fit = study.estimate((offset,), base.values, base, noise=small_forces(study, base))
-    assert fit is not None
     assert fit.values["E_offset"] == pytest.approx(0.02, abs=0.005)
     behind = tuple(
         Claim(one.name, 40.0, np.nan, 10.0, behind="behind offset") for one in (near, push)
@@ -131,20 +122,26 @@ def test_what_does_as_well_beside_the_model_that_was_made_is_in_its_group() -> N
     assert after.added[0].group == ("offset",)
 
 
+PUSH = Force("push", {"v": "E_push"}, (Parameter("E_push", 0.0, "m/s^2", scale=0.1),))
+
+
+def gusty(seed: int) -> tuple[Dataset, list[tuple[Study, FilteredSolution]]]:
+    """A run in gusts, and the nominal fits to it with disturbance forces and without."""
+    data = turns(seed, 0.1, gusts=0.3)
+    begin = partial(Study.begin, SHIP, data, None, (PUSH,), known_noise=False)
+    return data, [begin(disturbances=where) for where in ("auto", "none")]
+
+
 @pytest.mark.parametrize(("seed", "better"), [(3, 1.1), (4, 2.0)])
 def test_forces_are_not_left_out_for_nothing(
     seed: int, better: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is found without them and not needed beside them is no reason, nor are better runs."""
-    push = Force("push", {"v": "E_push"}, (Parameter("E_push", 0.0, "m/s^2", scale=0.1),))
-    data = turns(seed, 0.1, gusts=0.3)
-    study, base = Study.begin(SHIP, data, None, (push,), known_noise=False)
-    calm, fit = Study.begin(SHIP, data, None, (push,), known_noise=False, disturbances="none")
-    pushed = calm.estimate((push,), fit.values, fit)
-    assert pushed is not None
+    data, ((study, base), (calm, fit)) = gusty(seed)
+    pushed = calm.estimate((PUSH,), fit.values, fit)
     assert study.own_error(base, data) > better * calm.own_error(fit, data)
     ranking = rank(study, base, ())
-    claimed = Added(push, Claim("push", 20.0, np.nan, 10.0), ("push",))
+    claimed = Added(PUSH, Claim("push", 20.0, np.nan, 10.0), ("push",))
     state = Standing(calm, (claimed,), pushed, (fit, pushed))
     monkeypatch.setattr(Search, "ended", lambda *given: (state, ranking, None))
     left = Remains(500.0, None, follows=(Law("force v", ("v",), 90.0, 40, 80.0),))
@@ -160,11 +157,8 @@ def test_what_whole_runs_refuse_is_not_asked_effect_by_effect(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Whole runs less than twice as good are no reason to leave out forces, whatever is needed."""
-    push = Force("push", {"v": "E_push"}, (Parameter("E_push", 0.0, "m/s^2", scale=0.1),))
-    data = turns(3, 0.1, gusts=0.3)
-    study, base = Study.begin(SHIP, data, None, (push,), known_noise=False)
-    calm, fit = Study.begin(SHIP, data, None, (push,), known_noise=False, disturbances="none")
-    ranking, added = rank(study, base, ()), Added(push, Claim("push", 20.0, np.nan, 10.0), ())
+    data, ((study, base), (calm, fit)) = gusty(3)
+    ranking, added = rank(study, base, ()), Added(PUSH, Claim("push", 20.0, np.nan, 10.0), ())
     state, asked = Standing(calm, (added,), fit, (fit,)), list[Standing]()
     monkeypatch.setattr(Search, "ended", lambda *given: (state, ranking, None))
     monkeypatch.setattr(search_module, "eliminated", lambda *given: asked.append(given[0]))
@@ -203,7 +197,7 @@ def rolls(seed: int, level: float) -> Dataset:
             states[k + 1] = move @ states[k]
         seen = states[:3000:10, 1:2] + 0.003 * rng.standard_normal((300, 1))
         found.append(Record(f"run {run}", times, rudder[:, None], seen, ROLLING.channels))
-    return Dataset(tuple(found))
+    return Dataset(found)
 
 
 def test_a_swell_is_found_that_the_noise_of_a_sensor_had_taken() -> None:
@@ -246,7 +240,6 @@ def lagging() -> tuple[Study, FilteredSolution, FilteredSolution, Ranking]:
     lag = actuator_lag("rudder_lag", "delta", scale=0.5)
     study, base = Study.begin(SHIP, turns(5, 0.05), turns(6, 0.05), (lag,), known_noise=False)
     with_lag = study.estimate((lag,), base.values, base)
-    assert with_lag is not None
     unknowns = with_lag.point.unknowns.copy()
     unknowns[:2] *= 2.0
     worse = FilteredSolution(begun(with_lag.problem, unknowns), 1, "converged")
@@ -483,7 +476,6 @@ def test_no_estimate_is_coarser_than_the_filter_of_its_study() -> None:
     study, base = Study.begin(SHIP, turns(5, 0.05), turns(6, 0.05), (late,), known_noise=False)
     finer = replace(study, kernel=study.kernel_by(0.25))
     found = finer.estimate((late,), base.values, base, max_iterations=2)
-    assert found is not None
     assert found.problem.model.step == 0.25
     assert finer.own_error(found) == pytest.approx(study.own_error(base), rel=0.05)
 

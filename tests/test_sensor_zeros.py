@@ -8,33 +8,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from motion import small
 from scipy.signal import cont2discrete
 
-from oed_sysid import (
-    Dataset,
-    Fit,
-    Input,
-    Model,
-    MultipleShooting,
-    Output,
-    Parameter,
-    Record,
-    Solver,
-    State,
-)
+from oed_sysid import Dataset, Fit, MultipleShooting, Record, Solver
 
 TRUE = {"Kp": 0.30, "Kb": 0.5, "Kd": 0.6}
 STD = np.array([4e-3, 3e-3])
-MODEL = Model(
+MODEL = small(
     "rolls",
-    states=(State("p", "rad/s", scale=0.1), State("phi", "rad", scale=0.1)),
-    inputs=(Input("da", "rad"),),
-    outputs=(Output("p", "rad/s", noise_std=STD[0]), Output("phi", "rad", noise_std=STD[1])),
-    parameters=tuple(
-        Parameter(name, 1.2 * value, unit)
-        for (name, value), unit in zip(TRUE.items(), ("1/s", "1/s^2", "1/s^2"), strict=True)
-    ),
-    kinematics={"phi": "p", "p": "-Kp*p - Kb*phi + Kd*da"},
+    "p [rad/s], phi [rad] <- da [rad]",
+    {"phi": "p", "p": "-Kp*p - Kb*phi + Kd*da"},
+    {"Kp [1/s]": 1.2 * TRUE["Kp"], "Kb [1/s^2]": 1.2 * TRUE["Kb"], "Kd [1/s^2]": 1.2 * TRUE["Kd"]},
+    {"p": STD[0], "phi": STD[1]},
+    scales={"p": 0.1, "phi": 0.1},
     step=0.25,
 )
 PUSH, LASTS = 0.03, 2.0
@@ -60,7 +47,7 @@ def fitted(seed: int, off: float, *, pushed: bool = False, disturbances: str = "
         zeros = off * STD * rng.choice([-1.0, 1.0], 2)
         measured = np.array(states) + zeros + noise
         found.append(Record(f"run {run}", times, fin[:, None], measured, MODEL.channels))
-    return MultipleShooting(disturbances=disturbances).fit(MODEL, Dataset(tuple(found)))
+    return MultipleShooting(disturbances=disturbances).fit(MODEL, Dataset(found))
 
 
 def errors(fit: Fit) -> np.ndarray:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from motion import small
 
 from benchmarks.truth import runge_kutta
-from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State
+from oed_sysid import Dataset, Model, Parameter, Record
 
 TRUE = {"K": 0.12, "T": 8.0, "alpha": 12.0}
 NOISE = np.array([0.004, 0.0015])
@@ -18,13 +19,12 @@ def yaw_model(**changes: Parameter) -> Model:
         "T": Parameter("T", TRUE["T"], "s", lower=0.5),
         "alpha": Parameter("alpha", TRUE["alpha"], "s^2"),
     } | changes
-    return Model(
+    return small(
         "yaw",
-        states=(State("psi", "rad"), State("r", "rad/s", scale=0.05)),
-        inputs=(Input("delta", "rad"),),
-        outputs=(Output("psi", "rad"), Output("r", "rad/s")),
-        kinematics={"psi": "r", "r": "(K*delta - r - alpha*r**3)/T"},
-        parameters=tuple(parameters.values()),
+        "psi [rad], r [rad/s] <- delta [rad]",
+        {"psi": "r", "r": "(K*delta - r - alpha*r**3)/T"},
+        parameters.values(),
+        scales={"r": 0.05},
         step=0.5,
     )
 
