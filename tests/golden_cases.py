@@ -63,7 +63,7 @@ def records(name: str, *, disturbed: bool = False) -> Dataset:
             pytest.skip("OED_SYSID_DATA names no folder of third-party data")
         data = case.data()
         chosen = [data[one] for one in SHIPPED[name] or data.names]
-        return Dataset([begin(one, 1500) for one in chosen])
+        return Dataset(begin(one, 1500) for one in chosen)
     named, (equation, level, time) = SIMULATED[name]
     experiment, model = case.experiment(named), case.model
     rng = np.random.default_rng(7)
@@ -90,7 +90,6 @@ def fit_of(name: str, *, disturbed: bool = False, disturbances: str = "none") ->
 def facts(fit: Fit) -> dict[str, Any]:
     """What of a fit is frozen."""
     noise = fit.noise
-    assert noise is not None
     levels = {
         "white": dict(zip(noise.outputs, map(float, noise.white), strict=True)),
         "colour": dict(zip(noise.outputs, map(float, noise.colour), strict=True)),
@@ -116,7 +115,7 @@ def improved_diver() -> Improvement:
     case = problem("remus_diving_plane")
     data = case.data()
     train, test = (
-        Dataset([one for one in data if one.name.startswith(part)]) for part in ("train", "test")
+        Dataset(one for one in data if one.name.startswith(part)) for part in ("train", "test")
     )
     return improve(case.model, train, test, candidates=case.effects)
 

@@ -132,7 +132,7 @@ def log(
         matrix = np.column_stack(columns)[rows]
         inputs = np.zeros((matrix.shape[0], 1))
         records.append(Record(f"run_{number}", times[rows], inputs, matrix, vehicle.model.channels))
-    return Dataset(tuple(records))
+    return Dataset(records)
 
 
 def pair(vehicle: Vehicle, *faults: Fault) -> Dataset:

@@ -6,9 +6,8 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from oed_sysid import Dataset, improve, load_problem, new_problem
+from oed_sysid import Dataset, Problem, improve, load_problem, new_problem
 from oed_sysid.evidence.improvement import Improvement
-from oed_sysid.experiments.problem import Problem
 
 
 @cache

@@ -75,4 +75,4 @@ def nothing(r: float, psi: float, lagged: float) -> float:
 
 def two(seed: int, law: Share = nothing) -> Dataset:
     """Two records under a true disturbance."""
-    return Dataset(tuple(sailed(2 * seed + k, 0.0, law) for k in (0, 1)))
+    return Dataset(sailed(2 * seed + k, 0.0, law) for k in (0, 1))

@@ -11,8 +11,7 @@ import pytest
 from marks import slow
 
 from benchmarks import strangers
-from oed_sysid import Dataset, improve
-from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid import Dataset, improve, simulate_inputs
 
 
 @pytest.mark.parametrize("kind", [strangers.KINDS[0], *slow(*strangers.KINDS[1:])])
@@ -80,7 +79,7 @@ def test_the_page_has_the_rates_of_the_store() -> None:
 def test_a_lag_that_nobody_named_is_found_among_the_usual_effects() -> None:
     """Without it noise of the input would stand in the place of every force."""
     entry, model, (*train, last), offered = strangers.drawn(20261129, 13)
-    found = improve(model, Dataset(tuple(train)), Dataset((last,)), candidates=offered)
+    found = improve(model, Dataset(train), Dataset((last,)), candidates=offered)
     (lag,), (true,) = (step.effect for step in found.steps), entry["sizes"].values()
     assert found.fit.values[lag.parameters[0].name] == pytest.approx(true, rel=0.1)
     assert found.remains.kind == "adequate"

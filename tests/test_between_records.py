@@ -30,7 +30,7 @@ def ships(n: int, variation: float, seed: int, force: float = 0.0) -> Dataset:
             clean = simulate_inputs(own, run.times, inputs=run.inputs, initial={}).outputs
             run = run.with_outputs(clean + NOISE * rng.standard_normal(clean.shape))
         runs.append(run)
-    return Dataset(tuple(runs))
+    return Dataset(runs)
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,6 @@ def test_intervals_hold_and_are_not_smaller_than_honest(variation: float) -> Non
     for _ in range(500):
         matrices, scores, error, inverse = sums(rng, variation)
         scatter = sources_of(matrices, scores, np.zeros((2, 2))).scatter()
-        assert scatter is not None
         errors.append(error)
         squares.append(np.diag(scatter.covariance))
         held.append(np.abs(error) < scatter.half_width())
@@ -112,7 +111,6 @@ def test_differences_that_noise_explains_are_seldom_told() -> None:
         for _ in range(500):
             matrices, scores, _, inverse = sums(rng, variation)
             scatter = sources_of(matrices, scores, np.zeros((2, 2))).scatter()
-            assert scatter is not None
             white = np.diag(inverse)
             count += bool(scatter.exceeds(white, white)[1].any())
         told[variation] = count / 500
@@ -125,13 +123,11 @@ def test_a_parameter_of_one_record_has_no_scatter() -> None:
     matrices = [np.diag([4.0, 1.0 if index == 2 else 0.0]) for index in range(5)]
     scores = [np.array([value, 0.0]) for value in (1.0, -1.0, 2.0, -2.0, 0.0)]
     scatter = sources_of(matrices, scores, np.zeros((2, 2))).scatter()
-    assert scatter is not None
     assert np.isinf(scatter.covariance[1, 1])
     assert scatter.covariance[0, 1] == 0.0
     alone = sources_of(
         [m[:1, :1] for m in matrices], [s[:1] for s in scores], np.zeros((1, 1))
     ).scatter()
-    assert alone is not None
     assert scatter.covariance[0, 0] == pytest.approx(alone.covariance[0, 0])
     factor, clear = scatter.exceeds(np.full(2, 1e-9), np.full(2, 0.05))
     assert factor[0] > 100.0
@@ -144,7 +140,6 @@ def test_what_a_prior_decides_keeps_its_error() -> None:
     matrices, scores, _, _ = sums(rng, 2.0)
     weak = [1e-4 * matrix for matrix in matrices]
     scatter = sources_of(weak, [1e-4 * score for score in scores], np.eye(2)).scatter()
-    assert scatter is not None
     assert np.diag(scatter.covariance) == pytest.approx(np.ones(2), rel=0.1)
     factor, clear = scatter.exceeds(np.ones(2), np.diag(np.linalg.inv(np.eye(2) + sum(weak))))
     assert factor == pytest.approx(np.ones(2), rel=0.1)
@@ -198,14 +193,14 @@ def test_what_is_predicted_carries_the_caveat(fit: Fit, differing: Dataset) -> N
 
 def test_too_few_records_are_refused(differing: Dataset) -> None:
     """Three records have no scatter to first order, two no jackknife."""
-    three = WHITE.fit(SHIP, Dataset(tuple(differing[i] for i in range(3))))
+    three = WHITE.fit(SHIP, Dataset(differing[i] for i in range(3)))
     assert three.record_scatter is None
     assert three.record_errors == {}
     for ask in (three.with_record_errors, lambda: three.record_interval("K")):
         with pytest.raises(DataError, match="jackknife"):
             ask()
     with pytest.raises(DataError, match="Give 3 or more"):
-        jackknife(WHITE, SHIP, Dataset(tuple(differing[i] for i in range(2))))
+        jackknife(WHITE, SHIP, Dataset(differing[i] for i in range(2)))
 
 
 def test_a_jackknife_tells_who_moves_it(differing: Dataset) -> None:

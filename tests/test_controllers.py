@@ -15,15 +15,7 @@ import pytest
 from simple_models import nomoto
 
 from benchmarks.truth import NAMES, TRUE, rates, runge_kutta
-from oed_sysid import (
-    Experiment,
-    Limits,
-    Model,
-    Parameter,
-    Piecewise,
-    ZigZag,
-    load_problem,
-)
+from oed_sysid import Experiment, Limits, Model, Parameter, Piecewise, ZigZag, load_problem
 from oed_sysid.design import AbortRule, Servo, assess_limits, played, write_controller
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.manoeuvres import ReverseSpiral, TurningCircle, ZigZagLike

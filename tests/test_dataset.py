@@ -14,11 +14,10 @@ import pytest
 from altered import part
 from yaw_vehicle import NOISE, yaw_record
 
-from oed_sysid import Model, MultipleShooting, OedSysidError, Parameter, State
+from oed_sysid import Model, MultipleShooting, OedSysidError, Parameter, State, load_problem
 from oed_sysid.data.dataset import Dataset, Record, check_disjoint, overlap, read_csv, write_csv
 from oed_sysid.data.record import clear_wraps, unwrapped
 from oed_sysid.errors import DataError
-from oed_sysid.experiments.problem import load_problem
 from oed_sysid.physics.channels import Channels, Input, Output
 
 CHANNELS = Channels(
@@ -249,7 +248,7 @@ def test_dataset_access() -> None:
 
 def test_split() -> None:
     """A split keeps order, loses nothing and leaves no side empty."""
-    dataset = Dataset(tuple(record(name) for name in ("zigzag_1", "zigzag_2", "turn")))
+    dataset = Dataset(record(name) for name in ("zigzag_1", "zigzag_2", "turn"))
     train, test = dataset.split(test=["zigzag_2"])
     assert (train.names, test.names) == (("zigzag_1", "turn"), ("zigzag_2",))
     assert dataset.split("turn")[1].names == ("turn",)
@@ -639,7 +638,6 @@ def test_common_part_of_two_cuts() -> None:
     log = run(5, n=400)
     first, second = part(log, slice(0, 200)), later(part(log, slice(160, 360)), -80.0)
     found = overlap(first, second.rename("second"))
-    assert found is not None
     assert found.shift == pytest.approx(80.0)
     assert found.n_equal == found.n_rows == 39
 

@@ -11,9 +11,8 @@ from log_writers import mcap
 from marks import slow
 
 from benchmarks import door
-from oed_sysid import Channels, Input, Output, load_problem, new_problem
+from oed_sysid import Channels, Input, Output, load_problem, new_problem, open_log
 from oed_sysid.cli import BAD_INPUT, DONE, main
-from oed_sysid.data.formats import open_log
 from oed_sysid.data.log import assemble, meaning, side_of
 from oed_sysid.data.logs import draft, import_log
 from oed_sysid.data.mapping import parse

@@ -90,8 +90,6 @@ def trajectory(model: Model) -> Example:
 def loaded(file: Path) -> ModuleType:
     """A Python file as a module."""
     spec = importlib.util.spec_from_file_location(file.stem, file)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

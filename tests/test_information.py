@@ -388,12 +388,9 @@ def repeat(memory: float, n_runs: int, **options: object) -> tuple[np.ndarray, .
     rows = []
     for seed in range(n_runs):
         rng = np.random.default_rng(seed)
-        data = Dataset(
-            tuple(
-                r.with_outputs(r.outputs + NOISE * ar1(r.n_samples, memory, rng, 2)) for r in clean
-            )
-        )
-        fit = estimator.fit(yaw_model(), data)
+        noise = [NOISE * ar1(record.n_samples, memory, rng, 2) for record in clean]
+        data = [one.with_outputs(one.outputs + own) for one, own in zip(clean, noise, strict=True)]
+        fit = estimator.fit(yaw_model(), Dataset(data))
         assert fit.status.ok
         errors = np.sqrt(np.diag(fit.covariance))
         rows.append((fit.estimates - TRUTH, fit.information.std_errors, errors))

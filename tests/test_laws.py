@@ -21,7 +21,7 @@ from oed_sysid.likelihood.noise_model import Levels, NoiseModel, Sea
 
 def asked(seed: int, answer: float, law: Share) -> tuple[Law, ...]:
     """Laws at the true values and levels, of two records."""
-    data = Dataset(tuple(sailed(2 * seed + k, answer, law) for k in (0, 1)))
+    data = Dataset(sailed(2 * seed + k, answer, law) for k in (0, 1))
     force = np.array([LEVEL])
     noise = NoiseModel(
         np.full(2, NOISE), np.zeros(2), force, TIME, TIME, ("psi", "r"), ("force r",)
@@ -71,7 +71,7 @@ def adrift(
             force = memory * force + np.sqrt(1.0 - memory**2) * LEVEL * rng.standard_normal(3)
         seen = np.array(rows) + NOISE * rng.standard_normal((n, 6))
         runs.append(Record(name, np.arange(n) * step, command, seen, ADRIFT.channels))
-    return Dataset(tuple(runs))
+    return Dataset(runs)
 
 
 ADRIFT = Model(
@@ -197,7 +197,7 @@ def test_slow_noise_of_a_sensor_that_follows_the_motion() -> None:
         noise = NoiseModel(
             np.full(2, NOISE), np.array([0.0, 0.01]), np.zeros(0), TIME, TIME, ("psi", "r"), ()
         )
-        problem = Filtered(quiet, Dataset(tuple(runs)), Levels.of(noise, noise).held())
+        problem = Filtered(quiet, Dataset(runs), Levels.of(noise, noise).held())
         found[name] = laws(problem, problem.point([np.zeros(2)] * 2).unknowns)
     assert [law.place for law in found["law"] or ()] == ["noise of r"]
 
@@ -236,9 +236,7 @@ FERRY = small("ferry", "u [m/s] <- n [rad/s]", {"u": "(k*n - u)/T"}, VALUES, ste
 
 def test_what_fades_follows_the_time_in_the_run() -> None:
     """The remark names time, and a fading gain is among usual candidates and is found."""
-    train, validation = (
-        Dataset(tuple(ferry(s, fading) for s in seeds)) for seeds in ((1, 2, 3), (4,))
-    )
+    train, validation = (Dataset(ferry(s, fading) for s in seeds) for seeds in ((1, 2, 3), (4,)))
     follows = MultipleShooting().fit(FERRY, train).whole_runs.follows
     assert follows
     assert IN_THE_RUN in follows[0].signals
@@ -255,7 +253,7 @@ def test_what_fades_follows_the_time_in_the_run() -> None:
 @pytest.mark.parametrize("seed", [0, 10])
 def test_what_fails_for_some_time_follows_the_time_in_the_run(seed: int) -> None:
     """A command ahead and astern that does nothing for a tenth of each run is no disturbance."""
-    runs = Dataset(tuple(ferry(seed + k, failing, -1.0) for k in (1, 2)))
+    runs = Dataset(ferry(seed + k, failing, -1.0) for k in (1, 2))
     fit = MultipleShooting().fit(FERRY, runs)
     assert fit.noise.has_forces
     (law,) = fit.whole_runs.follows
@@ -290,7 +288,7 @@ def test_a_fit_says_that_its_process_noise_follows_motion() -> None:
     def wall(r: float, psi: float, lagged: float) -> float:
         return -0.04 * np.tanh(20.0 * (psi - 0.2))
 
-    missing, true = (Dataset(tuple(sailed(k, 0.0, law) for k in (0, 1))) for law in (wall, nothing))
+    missing, true = (Dataset(sailed(k, 0.0, law) for k in (0, 1)) for law in (wall, nothing))
     fit = MultipleShooting().fit(YAW, missing)
     assert fit.noise.has_forces
     (law,) = fit.whole_runs.follows

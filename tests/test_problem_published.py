@@ -13,10 +13,7 @@ from published import PUBLISHED
 from benchmarks.documents.published import paper
 from benchmarks.documents.published.sailboat import errors, exact, gibbs, in_errors
 from oed_sysid import Dataset, Record, load_problem, simulate, simulate_inputs
-from oed_sysid.baselines import (
-    EquationError,
-    HeadingDifferences,
-)
+from oed_sysid.baselines import EquationError, HeadingDifferences
 from oed_sysid.errors import DataError, ModelError
 
 PROBLEM = load_problem("auv_diving_plane")

@@ -70,7 +70,7 @@ def _data() -> Dataset:
         Experiment("zigzag", ZigZag("rudder", 0.35, 0.35), duration=120.0, sample_time=0.5),
         Experiment("circle", TurningCircle("rudder", 0.5), duration=120.0, sample_time=0.5),
     )
-    return Dataset(tuple(simulate(TRUTH, run, rng=rng) for run in runs))
+    return Dataset(simulate(TRUTH, run, rng=rng) for run in runs)
 
 
 @pytest.fixture(name="fit", scope="module")
@@ -342,7 +342,7 @@ def test_unmeasured_output_is_a_dash_in_every_rendering(data: Dataset) -> None:
         outputs = record.outputs.copy()
         outputs[:, 3] = np.nan
         records.append(record.with_outputs(outputs))
-    document = MultipleShooting(disturbances="none").fit(SHIP, Dataset(tuple(records))).document()
+    document = MultipleShooting(disturbances="none").fit(SHIP, Dataset(records)).document()
     page = document.html()
     for said in (document.text(), document.latex(), page[page.index("<main>") :]):
         assert not re.search(r"\bnan\b|[0-9]e\+0[2-5]\b", re.sub(r'src="[^"]*"', "", said))

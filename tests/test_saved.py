@@ -367,7 +367,6 @@ def test_numbers_are_those_of_the_time() -> None:
 def test_what_is_new_has_a_meaning_for_it(tmp_path: Path) -> None:
     """It has white noise and free start states, predicts, and is saved in today's form."""
     old = Fit.load(OLD_FITS)
-    assert old.noise is not None
     assert old.noise.is_white
     assert old.noise.white == pytest.approx(old.sigma)
     assert old.start_states == ()
@@ -405,7 +404,6 @@ def test_what_was_told_in_extras_is_typed_now(tmp_path: Path) -> None:
     fit = Fit.load(path)
     assert (fit.nominal, fit.excluded) == ({"K": 0.05}, {"psi": (3, 900)})
     test = fit.process_noise
-    assert test is not None
     assert (test.statistic, test.failed) == (31.0, "stalled")
     found = test.departure
     assert (found.signal, found.kind, found.size) == ("psi", "late", 0.4)

@@ -11,13 +11,7 @@ from marks import MEASURED
 
 from benchmarks.documents import turns
 from benchmarks.scoreboard import __main__ as board
-from benchmarks.scoreboard import (
-    drive,
-    esso_osaka,
-    roll_decay,
-    silverbox,
-    tanks,
-)
+from benchmarks.scoreboard import drive, esso_osaka, roll_decay, silverbox, tanks
 from benchmarks.scoreboard.row import Row, columns
 from oed_sysid import Record, load_problem, simulate_inputs
 from oed_sysid.data.third_party import data_folder

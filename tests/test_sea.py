@@ -97,7 +97,7 @@ def records(force: str, seed: int, level: float = LEVEL) -> Dataset:
         at = slice(None, None, 25)
         outputs = np.array(states)[at] + WHITE * rng.standard_normal((len(fine[at]), 2))
         found.append(Record(name, fine[at], rudder[at, None], outputs, SHIP.channels))
-    return Dataset(tuple(found))
+    return Dataset(found)
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +110,6 @@ def test_waves_are_named_with_their_period_and_level(at_sea: Fit) -> None:
     """Period within 10 %, level within 30 %, both with errors; values within their intervals."""
     (sea,) = at_sea.noise.seas
     assert sea.period == pytest.approx(PERIOD, rel=0.1)
-    assert sea.levels is not None
     assert sea.levels["force r"] == pytest.approx(LEVEL, rel=0.3)
     assert 0.0 < at_sea.noise_std["sea period"] < 0.1
     for name, true in TRUE.items():
@@ -161,10 +160,8 @@ def sparsely(force: str, seed: int) -> Dataset:
     """Every second sample, seven in a wave."""
     taken = slice(None, None, 2)
     return Dataset(
-        tuple(
-            Record(one.name, one.times[taken], one.inputs[taken], one.outputs[taken], SHIP.channels)
-            for one in records(force, seed)
-        )
+        Record(one.name, one.times[taken], one.inputs[taken], one.outputs[taken], SHIP.channels)
+        for one in records(force, seed)
     )
 
 
@@ -276,7 +273,7 @@ def test_improve_finds_a_sea_itself(force: str) -> None:
     """Waves are claimed as any effect is, and no term in their place; gusts are none."""
     kick = Force("kick", {"r": "k_kick*abs(r)*r"}, (Parameter("k_kick", 0.0, "1", scale=1.0),))
     train, test = records(force, 5), records(force, 6)
-    test = Dataset(tuple(one.rename(f"{one.name} again") for one in test))
+    test = Dataset(one.rename(f"{one.name} again") for one in test)
     found = improve(SHIP, train, test, candidates=[kick], terms=False)
     assert bool(found.base_fit.noise.seas) == (force == "waves")
     assert not found.steps
@@ -352,7 +349,6 @@ def test_a_test_of_one_more_level_is_that_of_all_equations(monkeypatch: pytest.M
         wide = posed(found, setting, noise, seas=known, longest_hold=0.5)
         gain, _ = Scored.at(found, 0.5).gain(wide, ["sea force r level"])
         still = moved(found, wide, 0)
-        assert still is not None
         unknowns, limits = still.point.unknowns, wide.limits
         equations = limits.with_priors(still.matrix, still.right, unknowns)
         lower, upper = limits.lower - unknowns, limits.upper - unknowns

@@ -292,7 +292,7 @@ def test_dropping_costs_what_a_refit_finds() -> None:
     first = reduction.drops[0]
     assert first.name == "c"
     data = Dataset(
-        tuple(simulate(model, test, noise=False) for test in (roll_test(), roll_test("s", 0.15)))
+        simulate(model, test, noise=False) for test in (roll_test(), roll_test("s", 0.15))
     )
     without = model.with_values({"c": 0.0}).fix("c")
     fit = MultipleShooting(noise="given", coloured="never", disturbances="none").fit(without, data)

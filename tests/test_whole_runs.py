@@ -140,7 +140,7 @@ def turning(seed: int, cubic: float, level: float) -> Dataset:
                 r += STEP / 10 * ((0.1 * rudder[k] - slow) / 10.0 + force)
         seen = np.array(rows) + SIGMA * rng.standard_normal((len(times), 2))
         found.append(Record(f"{name} {seed}", times, rudder[:, None], seen, SHIP.channels))
-    return Dataset(tuple(found))
+    return Dataset(found)
 
 
 NOMOTO = SHIP.with_values({}).fix("zero")

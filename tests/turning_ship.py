@@ -72,7 +72,7 @@ def record(name: str, rng: np.random.Generator, cubic: float = 0.0, **noise: flo
 def dataset(seed: int, cubic: float = 0.0, n_records: int = 2, **noise: float) -> Dataset:
     """Records of one ship."""
     rng = np.random.default_rng(seed)
-    return Dataset([record(f"zigzag_{i}", rng, cubic, **noise) for i in range(n_records)])
+    return Dataset(record(f"zigzag_{i}", rng, cubic, **noise) for i in range(n_records))
 
 
 @cache
