@@ -14,7 +14,7 @@ certified, that is said to be adequate, or a disturbance, without a word about t
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import product
@@ -478,29 +478,32 @@ def replayed(
 def inputs(seeds: range) -> list[Row]:
     """Inputs of a shipped problem whose true values are drawn from the priors of its model."""
     problem, rows = load_problem("remus_diving_plane"), list[Row]()
+    mine = {*problem.model.input_names}
     for kind in (*INPUTS, *ACTED):
         said = []
         for seed in seeds:
-            rng = np.random.default_rng((seed, 5))
-            drawn = {p.name: float(rng.normal(p.prior_mean, p.prior_std))
-                     for p in problem.model.free_parameters if p.prior_std}  # fmt: skip
-            truth_ = problem.model.with_values(drawn)
-            runs = []
-            for k, experiment in enumerate(problem.experiments.values()):
-                if kind in ACTED:
-                    runs.append(replayed(truth_, experiment, ACTED[kind], k, rng))
-                    continue
-                run = simulate(truth_, experiment, rng=rng)
-                spoilt = np.array(run.inputs)
-                spoilt[:, 0] = INPUTS[kind](run.times, spoilt[:, 0])
-                runs.append(replace(run, inputs=spoilt))
-            found = check(Dataset(runs), problem)
-            mine = {*problem.model.input_names}
+            found = check(Dataset(spoilt_inputs(problem, kind, seed)), problem)
             every = [one for one in found.findings if one.suspect or mine & {*one.signals}]
             said.append("; ".join(one.name + " (note)" * (not one.suspect) for one in every) or "-")
         counts = {words: said.count(words) for words in said}
         rows.append({"kind": kind, "said": counts, "of": len(said)})
     return rows
+
+
+def spoilt_inputs(problem: Problem, kind: str, seed: int) -> Iterator[Record]:
+    """Simulate the runs of a problem, true values drawn; the first input is spoilt in one way."""
+    rng = np.random.default_rng((seed, 5))
+    drawn = {p.name: float(rng.normal(p.prior_mean, p.prior_std))
+             for p in problem.model.free_parameters if p.prior_std}  # fmt: skip
+    vehicle = problem.model.with_values(drawn)
+    for k, experiment in enumerate(problem.experiments.values()):
+        if kind in ACTED:
+            yield replayed(vehicle, experiment, ACTED[kind], k, rng)
+            continue
+        run = simulate(vehicle, experiment, rng=rng)
+        spoilt = np.array(run.inputs)
+        spoilt[:, 0] = INPUTS[kind](run.times, spoilt[:, 0])
+        yield replace(run, inputs=spoilt)
 
 
 def _lagged(t: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -91,24 +91,33 @@ def _differences(
     before: Any, now: Any, relative: float, where: str, slack: float = 0.0
 ) -> Iterator[str]:
     """Lines on what differs."""
-    if isinstance(before, dict) and isinstance(now, dict):
-        for key in sorted(before.keys() | now.keys()):
-            if key not in before or key not in now:
-                yield f"{where}/{key}: {'new' if key in now else 'gone'}"
-                continue
-            error = before.get("std_error") if key == "value" else None
-            if error == now.get("std_error") == "inf":
-                continue  # nothing tells it, so that it is where the iterations left it
-            around = abs(error) if isinstance(error, int | float) else 0.0
-            yield from _differences(before[key], now[key], relative, f"{where}/{key}", around)
-    elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
-        for i, (one, other) in enumerate(zip(before, now, strict=True)):
-            yield from _differences(one, other, relative, f"{where}/{i}")
-    elif isinstance(before, float) and isinstance(now, int | float):
-        if abs(now - before) > ZERO + relative * max(abs(before), slack):
-            yield f"{where}: {before!r} -> {now!r}"
-    elif before != now:
-        yield f"{where}: {before!r} -> {now!r}"
+    match before, now:
+        case dict(), dict():
+            yield from _of_keys(before, now, relative, where)
+        case list(), list() if len(before) == len(now):
+            for i, (one, other) in enumerate(zip(before, now, strict=True)):
+                yield from _differences(one, other, relative, f"{where}/{i}")
+        case float(), int() | float():
+            if abs(now - before) > ZERO + relative * max(abs(before), slack):
+                yield f"{where}: {before!r} -> {now!r}"
+        case _:
+            if before != now:
+                yield f"{where}: {before!r} -> {now!r}"
+
+
+def _of_keys(
+    before: dict[str, Any], now: dict[str, Any], relative: float, where: str
+) -> Iterator[str]:
+    """Lines on what differs in two mappings; a value may move by a share of its standard error."""
+    for key in sorted(before.keys() | now.keys()):
+        if key not in before or key not in now:
+            yield f"{where}/{key}: {'new' if key in now else 'gone'}"
+            continue
+        error = before.get("std_error") if key == "value" else None
+        if error == now.get("std_error") == "inf":
+            continue  # nothing tells it, so that it is where the iterations left it
+        around = abs(error) if isinstance(error, int | float) else 0.0
+        yield from _differences(before[key], now[key], relative, f"{where}/{key}", around)
 
 
 def restored(fit: Fit, folder: Path) -> Fit:
