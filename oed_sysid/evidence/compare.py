@@ -671,8 +671,7 @@ def _ahead(
     part = Part(0, starts, np.isin(starts, first), int(first[-1]) + before)
     problem = Windows(shooting, [part], weight[None], unknowns)
     descent = Descent(problem.at(problem.start), Windows.at, Convergence(1e-3))
-    if np.isfinite(descent.now.cost):
-        descent.run(FIRST_STEPS)
+    descent.run(FIRST_STEPS)
     (nodes,) = descent.lowest.point.nodes
     gram = problem.products(part, unknowns, nodes)
     known = np.diag(weight) if gram is None else gram[:, :-1, :-1] + np.diag(weight)

@@ -32,7 +32,7 @@ from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.likelihood.departures import smoothed_inputs
-from oed_sysid.likelihood.disturbances import Place, chosen_places, disturbance
+from oed_sysid.likelihood.disturbances import Place, chosen_places, commands, disturbance
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import Integration, once_a_fit
 from oed_sysid.likelihood.estimator import Solver
@@ -162,7 +162,7 @@ class Study:
         tests = train.only_tests
         if tests:  # no disturbance links one with the next
             disturbances = "none"
-        inputs = [place for place in every_place(model) if place.stage == "actuator" and not tests]
+        inputs = [] if tests else commands(model)
         places, absent = _disturbed_places(model, disturbances)
         # Without disturbance forces, what is slow and far above a sensor's high-frequency content
         # is structure.

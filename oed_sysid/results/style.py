@@ -275,9 +275,9 @@ def abscissa(record: Record) -> tuple[np.ndarray, str]:
     return record.times, "time $t$ [s]"
 
 
-def joined(record: Record, dashes: Any = "-") -> dict[str, Any]:
+def joined(record: Record) -> dict[str, Any]:
     """Line of a signal of a record; rows of independent tests are marks that nothing joins."""
-    return {"ls": "", "marker": "_", "ms": 5.0} if record.independent else {"ls": dashes}
+    return {"ls": "", "marker": "_", "ms": 5.0} if record.independent else {"ls": "-"}
 
 
 def stepped(channel: State | Input | Output) -> dict[str, Any]:
