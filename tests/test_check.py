@@ -51,6 +51,7 @@ from oed_sysid.evidence.screens import screen
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.noise_levels import first_order
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
 from oed_sysid.physics import Force, actuator_delay, sensor_bias, sensor_scale
 from oed_sysid.physics.parameters import Parameter
@@ -185,6 +186,26 @@ def test_lag_of_all_but_the_positions_is_said_of_them() -> None:
     assert len(found.serious) == 1
     assert set(one.signals) == {"u", "v", "psi", "r"}
     assert one.size == pytest.approx(0.9, abs=0.05)
+
+
+def test_earth_fixed_velocities_at_rates_of_their_own_are_named() -> None:
+    """Positions, velocities and heading are seldom measured at the same samples."""
+
+    def every(n: int, series: np.ndarray) -> np.ndarray:
+        return np.where(np.arange(series.size) % n, np.nan, series)
+
+    def fixed(record: Record, turn: float) -> np.ndarray:
+        level = record.output("u") + 1j * record.output("v")
+        return every(2, (level * np.exp(1j * (record.output("psi") - turn))).real)
+
+    data = altered(
+        pair(SHIP),
+        x=lambda record: every(5, record.output("x")),
+        y=lambda record: every(5, record.output("y")),
+        u=lambda record: fixed(record, 0.0), v=lambda record: fixed(record, 0.5 * np.pi),
+    )  # fmt: skip
+    (found,) = check(data, SHIP.model, inputs=False).serious
+    assert (found.kind, found.signals) == ("frame", ("u", "v"))
 
 
 def test_bias_of_pitch_and_misalignment_are_one_group() -> None:
@@ -481,6 +502,46 @@ def test_a_rate_that_is_sampled_seldom_enough_is_asked() -> None:
     """Of three and a half samples a period a wrong sign is named."""
     model, data = rolling_fast(2, logged=-1.0)
     assert check(data, model).serious[0].kind == "sign"
+
+
+def test_a_depth_in_millimetres_is_named() -> None:
+    """What is a thousand times too large is its own noise, in which no scale stands out."""
+    model, data = afloat(["z", "w"], 1.0)
+    spoilt = altered(data, z=lambda record: 1000.0 * record.output("z"))
+    (found,) = check(spoilt, model, inputs=False).serious
+    assert (found.kind, found.signals) == ("unit", ("z",))
+
+
+@pytest.mark.parametrize("named", ["dot(u)", "push - c*u", "a"])
+def test_accelerations_are_held_against_their_velocity(named: str) -> None:
+    """Right ones agree although a thrust that is held makes them jump; late and wrong ones do not.
+
+    By the exact solution over each step, whatever the output calls the acceleration.
+    """
+    signals, law = {"a": "push - c*u"}, {"u": "a" if named == "a" else "push - c*u"}
+    model = Model(
+        "sled", (State("u", "m/s"),), (Input("push", "m/s^2"),),
+        (Output("u", "m/s"), Output("ax", "m/s^2", expression=named)), law,
+        signals=signals if named == "a" else {}, parameters=(Parameter("c", 0.6, "1/s"),),
+    )  # fmt: skip
+    rng, t = np.random.default_rng(0), 0.2 * np.arange(400)
+    push = np.sin(np.outer(t, 2.0 * np.pi / np.array([7.0, 11.0, 17.0]))).sum(axis=1)
+    u = first_order(np.append(0.0, 2.0 * push[:-1]), 1.0 - np.exp(-0.1))
+    right = push - 0.5 * u
+
+    def found(ax: np.ndarray) -> list:
+        noisy = np.column_stack([u, ax]) + [0.01, 0.02] * rng.standard_normal((400, 2))
+        record = Record("run", t, push[:, None], noisy, model.channels)
+        return check(Dataset((record,)), model).findings
+
+    assert not found(right)
+    if named != "push - c*u":  # a force without a name is no measured one
+        late = found(np.append(right[:1].repeat(2), right[:-2]))[0]
+        assert (late.kind, late.signals) == ("delay", ("ax",))
+        assert late.size == pytest.approx(0.4, abs=0.05)
+        turned = found(-right)[0]
+        assert turned.kind == "sign"
+        assert {*turned.signals} <= {"u", "ax"}  # one equation tells that one of them is
 
 
 @pytest.mark.parametrize("logged", [1.0, 1.1])

@@ -170,6 +170,21 @@ def test_a_single_run_of_one_value_is_enough(kind: str, first: int, last: int) -
     assert found_in(series) == {kind: list(range(first + (kind == "frozen"), last))}
 
 
+def test_what_freezes_farthest_out_is_frozen_and_not_cut_off() -> None:
+    """A drift that stops and leaps on was at no limit, although no other sample lies so far out."""
+    series = wave() - 0.5 * TIMES
+    series[:30] = series[0]
+    assert found_in(series) == {"frozen": [*range(1, 30)]}
+
+
+def test_a_copy_at_a_slower_rate_is_one() -> None:
+    """Samples that both signals miss are no difference between them."""
+    slow = np.where(np.arange(TIMES.size) % 4, np.nan, wave())
+    both = {"y": slow, "z": slow.copy()}
+    trace = Trace("run", TIMES, both, dict.fromkeys(both, "m"), dict.fromkeys(both, 0.01))
+    assert "copied" in {fault.kind for fault in screen(trace)}
+
+
 def test_single_dropouts_held_and_coarse_samples_are_told() -> None:
     """Lost samples here and there by their rows, a hold of five by its time, coarse steps."""
     lost = [80, 201, 202, 390, 511, 640]

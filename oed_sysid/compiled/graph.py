@@ -104,13 +104,17 @@ class Graph:
         return tuple(channel.interpolation == "linear" for channel in self.model.inputs)
 
     @cached_property
-    def settled_rates(self) -> ca.Function:
-        """Rates of the own states where effects are settled, ``(own states, inputs, p, t)``."""
+    def settled(self) -> ca.Function:
+        """Rates of the own states, and outputs, where effects are settled.
+
+        Of ``(own states, inputs, p, t)``.
+        """
         own, inputs, p, t = self.start.sx_in()
-        x, memory, _ = self._split(self.start(own, inputs, p, t))
+        x, memory, sensor = self._split(self.start(own, inputs, p, t))
         drive, _ = self.actuate(memory, inputs, p, t, 1.0)
         rates = self.rates(x, drive, p, t)[: self.n_own]
-        return ca.Function("settled_rates", [own, inputs, p, t], [rates], {"cse": True})
+        outputs, _ = self.observe(x, drive, sensor, p, t, 1.0)
+        return ca.Function("settled", [own, inputs, p, t], [rates, outputs], {"cse": True})
 
     @cached_property
     def advance(self) -> ca.Function:

@@ -54,7 +54,7 @@ from scipy.special import stdtrit
 
 from oed_sysid.evidence.chance import FALSE_CLAIMS
 from oed_sysid.evidence.corrections import ADDED, lagged, level_axis, logged, pivot, undo
-from oed_sysid.evidence.relations import READINGS, Relation, names_of, nominal_rates
+from oed_sysid.evidence.relations import READINGS, Relation, names_of, nominal_sides
 from oed_sysid.evidence.result import Correction
 from oed_sysid.evidence.traces import LEAST, Trace, fast_noise, units_of
 from oed_sysid.likelihood.projection import ABSORBED
@@ -171,14 +171,14 @@ class Motion:
         return told | {n: np.gradient(hann(self.raw[n], 9), self.trace.times) for n in untold}
 
     @cached_property
-    def moving(self) -> dict[str, np.ndarray]:
-        """Rates of measured states by the nominal model, where there is one."""
+    def sides(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Rates of measured states and outputs about each sample, by the nominal model if any."""
         model = next((r.model for r in self.known.values() if r.model is not None), None)
         if model is None:
-            return {}
+            return {}, {}
         trace, shown = self.trace, {o.name for o in model.outputs}
         values = self.raw | trace.filled(shown & trace.values.keys() - self.raw.keys())
-        return nominal_rates(model, trace.times, values, trace.inputs)
+        return nominal_sides(model, trace.times, values, trace.inputs)
 
     @cached_property
     def values(self) -> dict[str, np.ndarray]:
@@ -493,9 +493,7 @@ def contrasts(
         target, zero = trace.values[relation.target], np.zeros(trace.times.size)
         # Residual, left side, sampling, candidates, what begins anywhere: each a left side less an
         # integral.
-        moving = [slopes[n] * motion.moving[n] for n in slopes.keys() & motion.moving.keys()]
-        known = np.sum([np.zeros((2, zero.size)), *moving], axis=0)
-        jumps, *unsure = relation.sampled(trace.times, right, known) * relation.is_rate
+        jumps, *unsure = _between_samples(relation, motion, slopes, right)
         pairs = [(target - jumps, right), *((one, zero) for one in (target, *unsure))]
         for shape in shapes.values():
             own = {n: shape[n] for n in slopes.keys() & shape.keys()}
@@ -506,6 +504,19 @@ def contrasts(
         left, inside = (np.column_stack(one) for one in zip(*pairs, strict=True))
         factor, named = factors.get(relation.target, 1.0), ([*shapes], begun)
         yield from _pieces(trace, (index, relation), (left, inside), named, slopes, factor)
+
+
+def _between_samples(
+    relation: Relation, motion: Motion, slopes: Mapping[str, np.ndarray], right: np.ndarray
+) -> np.ndarray:
+    """What motion between samples changes of an integral, and what is not known of it."""
+    times = motion.trace.times
+    # By the chain rule, of what the nominal model says just before and just after each sample.
+    known, (before, after) = (
+        sum((slopes[n] * one[n] for n in slopes if n in one), np.zeros((2, times.size)))
+        for one in motion.sides
+    )
+    return relation.sampled(times, right, known, after - before) * relation.is_rate
 
 
 def _begun_anywhere(
@@ -535,7 +546,8 @@ def _slopes(relation: Relation, motion: Motion, touched: set[str]) -> dict[str, 
     """Derivatives of a right side by signals that a fault touches, that have noise or move."""
     inner, trace = {n: motion.raw[n] for n in relation.signals}, motion.trace
     asked = touched & {*(relation.asked or inner)}
-    names = (n for n in inner if n in asked or trace.noise[n] > 0.0 or n in motion.moving)
+    moving = motion.sides[0]
+    names = (n for n in inner if n in asked or trace.noise[n] > 0.0 or n in moving)
     return {n: relation.slope(inner, trace.times, n) for n in names}
 
 

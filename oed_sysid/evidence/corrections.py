@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.evidence.relations import Relation, relations
+from oed_sysid.evidence.relations import Relation, names_of, relations
 from oed_sysid.evidence.result import Correction, Finding, LogCheck, is_a
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.problem import Problem
@@ -116,11 +116,13 @@ def _undone(
         kept = {logged(n): trace.values[n] for n in one.signals} if one.kind == "lost" else {}
         return kept | trace.values | {name: _mended(trace, name, one) for name in one.signals}
     first, second = one.signals
-    x, y = trace.values[first], trace.values[second]
     if one.kind == "swap":
-        return {first: y, second: x}
+        return {first: trace.values[second], second: trace.values[first]}
+    # Where only one of them has a sample the other is what lies between its own.
+    x, y = trace.filled(one.signals).values()
     cos, sin = np.cos(one.value), np.sin(one.value)
-    return {first: cos * x + sin * y, second: cos * y - sin * x}
+    turned = {first: cos * x + sin * y, second: cos * y - sin * x}
+    return {n: np.where(np.isfinite(trace.values[n]), turned[n], np.nan) for n in one.signals}
 
 
 def share_of(since: np.ndarray) -> np.ndarray:
@@ -159,7 +161,8 @@ def _mended(trace: Trace, name: str, one: Correction) -> np.ndarray:
         jumps = zip(rows, one.sizes.get(trace.name, ()), strict=False)
         return series - sum((s * (index >= row) for row, s in jumps), 0.0 * since)
     if one.kind in ADDED:
-        return series - size * ADDED[one.kind](one, trace.values, since)
+        whole = trace.values | trace.filled(one.other)
+        return series - size * ADDED[one.kind](one, whole, since)
     ways: dict[str, Callable[[], np.ndarray]] = {
         "scale": lambda: (series + size * pivot(series, trace.units[name])) / (1.0 + size),
         "blank": lambda: np.where(np.isin(index, rows), np.nan, series),
@@ -183,6 +186,7 @@ def body_axes(
     direction without a position of its own is completed by orthogonality.
     """
     values, times = trace.values, trace.times
+    whole = trace.filled(name for name in names_of(relations) if name in values)
     n = len(velocities)
     matrix, absent = np.zeros((times.size, n, n)), set(range(n))
     for relation in relations:
@@ -190,7 +194,7 @@ def body_axes(
         if place is not None:
             row = velocities.index(place)
             absent.discard(row)
-            here = {name: values.get(name, np.zeros(times.size)) for name in relation.signals}
+            here = {name: whole.get(name, np.zeros(times.size)) for name in relation.signals}
             for column, name in enumerate(velocities):
                 if name in here:
                     matrix[:, row, column] = relation.slope(here, times, name)

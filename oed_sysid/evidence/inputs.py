@@ -63,12 +63,17 @@ from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_levels import Runs, parabolas, white_level
 from oed_sysid.likelihood.projection import score_beside
-from oed_sysid.likelihood.start_guess import kinematic_states, measured_columns, measured_states
+from oed_sysid.likelihood.start_guess import (
+    kinematic_states,
+    measured_columns,
+    measured_states,
+    needed_by,
+    touched,
+)
 from oed_sysid.physics.channels import Input, State
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.runtime.constants import NEGLIGIBLE
-from oed_sysid.text.expressions import names as names_in
 
 # What is asked of an input.
 ASKED = ("sign", "unit", "bias", "scale", "delay", "step", "lost")
@@ -94,7 +99,9 @@ class Nominal(Relation):
         steps = np.diff(times)[:, None] * columns[:-1]
         return np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(steps, axis=0)])
 
-    def sampled(self, times: np.ndarray, rates: np.ndarray, known: np.ndarray) -> np.ndarray:
+    def sampled(
+        self, times: np.ndarray, rates: np.ndarray, known: np.ndarray, leaps: np.ndarray
+    ) -> np.ndarray:
         """Nothing: rates are means over the steps, ``(3, n_times)``."""
         return np.zeros((3, times.size))
 
@@ -441,7 +448,8 @@ def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question
         single += [replace(lost, record=t.name) for t in traces]
     for name in (one.target for one in equations):
         # A force that sets in is as large as those that move the vehicle.
-        usual = max(float(np.nanstd(np.gradient(t.values[name], t.times))) for t in traces) + 1e-12
+        steep = (np.gradient(s, t.times) for t in traces for s in t.filled([name]).values())
+        usual = max((float(np.std(rates)) for rates in steep), default=0.0) + 1e-12
         local.append(Candidate("drift", (name,), "", usual, NEGLIGIBLE * usual))
     alone = tuple(single) if len(traces) > 1 else ()
     given = tuple(_given(traces, equations, model, length))
@@ -450,9 +458,12 @@ def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question
 
 def _nominal(model: Model) -> tuple[Nominal, ...]:
     """Equations of the states that forces act on."""
-    run, free = kernel(model), set(model.free_names)
+    run, known = kernel(model), {*model.state_names, *model.input_names}
+    pushed = touched(model)
     own = set(model.axes.values()) or {
-        state for state, text in model.kinematics.items() if names_in(text) & free
+        state
+        for state, text in model.kinematics.items()
+        if state in pushed or needed_by(model, text, known) is None
     }
     inputs, asked = model.input_names, (*model.input_names, *model.free_names)
     every = (*map(smooth, model.state_names), *asked)

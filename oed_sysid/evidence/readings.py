@@ -34,6 +34,7 @@ from oed_sysid.evidence.contrasts import (
     contrasts,
     mended,
     search,
+    unexplained,
 )
 from oed_sysid.evidence.corrections import undo
 from oed_sysid.evidence.relations import READINGS, Relation
@@ -45,7 +46,7 @@ from oed_sysid.runtime.constants import NEGLIGIBLE
 def diagnosed(traces: Sequence[Trace], question: Question) -> tuple[list[Found], Result]:
     """Faults that the equations show: readings first where nothing else is near, then sizes."""
     plain = search(traces, question, only_linear=True)
-    if not plain.strained and not _nearer(traces, question):
+    if not plain.strained and not _nearer(plain, traces, question):
         return [], _unopposed(plain, traces, question)
     found, start = misread(traces, question)
     right = mended(traces, found, question.relations)
@@ -123,6 +124,9 @@ class Evidence:
     def gained(self, corrections: Sequence[Correction]) -> float:
         """What all equations tell more with some faults undone; only those with the signals do.
 
+        An equation that tells less than nothing tells nothing once a signal is out of it, by
+        whatever unit makes that small: only what it then tells counts.
+
         Nothing, where an error of a parameter that is given would have to be larger for it than
         chance allows: a coefficient of almost nothing undoes any other unit of its input, and may
         then be anything.
@@ -133,9 +137,9 @@ class Evidence:
         after, away = self._told(undone, tuple(relations[k] for k in asked))
         told, before = self._now[:, asked]
         chance = math.sqrt(threshold(len(self.question.given), 1))
-        return (
-            float(np.sum(after - told)) if np.all(away <= np.maximum(before, chance)) else -np.inf
-        )
+        if np.any(away > np.maximum(before, chance)):
+            return -np.inf
+        return float(np.sum(after - np.maximum(told, 0.0)))
 
     def ranked(self, readings: Iterable[Found]) -> list[Found]:
         """Readings with what each gains, the likeliest first."""
@@ -164,6 +168,10 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Found], l
     start : list of Found
         A large delay, which competes with readings: its size is for :func:`search` to find.
     """
+    # What a nominal model says of the motion between samples changes with the units of its states,
+    # and with the signs of its inputs.
+    plain = tuple(replace(one, model=None) for one in question.relations)
+    question = replace(question, relations=plain)
     late, level = [*_late(question)], [undo(trace, question.known) for trace in traces]
     shared, coarse = replace(question, single=(), local=(), known=()), _coarse(level, question)
     found = list[Found]()
@@ -198,13 +206,16 @@ def thinned(traces: Sequence[Trace]) -> list[Trace]:
     return [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
 
 
-def _nearer(traces: Sequence[Trace], question: Question) -> bool:
-    """Whether a reading tells more, the equations taken as they are; asked of nominal ones only.
+def _nearer(plain: Result, traces: Sequence[Trace], question: Question) -> bool:
+    """Whether another reading may be near although no fault with a size stands out.
 
-    Forces that are wrong in all can be so large that no fault with a size stands out of them.
+    Where an equation fails with what was found undone: a signal in other units may be its own
+    noise, or hide the others. Of nominal ones, in which forces are noise, it is asked whether a
+    reading tells more, these taken as they are: forces that are wrong in all can be as large.
     """
     if not question.given:
-        return False
+        left = mended(traces, plain.found, question.relations)
+        return bool(unexplained(left, question.relations))
     evidence = Evidence(replace(question, given=()), thinned(traces))
     return any(evidence.gained([one.correction]) > 0.0 for one in question.readings)
 

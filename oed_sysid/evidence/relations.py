@@ -24,7 +24,10 @@ slopes :math:`g^-, g^+` just before and after each sample, and leaves
 :math:`d = \Delta f / \Delta t - (g^- + g^+)/2` of the slope across it. With
 :math:`B(a^-, a^+) = -\sum \tfrac{h^2}{12} (a_{k+1}^- - a_k^+)` the integral is that by straight
 lines plus :math:`B(g^-, g^+) + \gamma B(d, d)`: what the model leaves is held like a command
-(:math:`\gamma = 0`) or goes on between samples (:math:`\gamma = 1`).
+(:math:`\gamma = 0`) or goes on between samples (:math:`\gamma = 1`). Accelerations jump with a
+command themselves, by :math:`J` at a sample, which was measured after the jump: over the step
+before it the integral is :math:`\tfrac{h}{2} J` less. All of that is in doubt, because an actuator
+that lags leaves no jump and is often in no nominal model.
 
 Columns of a file that no channel asked for, but whose names say what they are.
 
@@ -39,6 +42,7 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -107,7 +111,9 @@ class Relation:
         """Cumulative integral of rates of :meth:`__call__`, ``(n_times, k)``; first row zero."""
         return integral(times, columns)
 
-    def sampled(self, times: np.ndarray, rates: np.ndarray, known: np.ndarray) -> np.ndarray:
+    def sampled(
+        self, times: np.ndarray, rates: np.ndarray, known: np.ndarray, leaps: np.ndarray
+    ) -> np.ndarray:
         r"""What motion between samples may change of the integral, ``(3, n_times)``.
 
         Parameters
@@ -117,18 +123,21 @@ class Relation:
         known : numpy.ndarray
             Shape ``(2, n_times)``: slopes of the rates by the nominal model, before and after each
             sample.
+        leaps : numpy.ndarray
+            Shape ``(n_times,)``: by how much the rates jump at each sample by the nominal model.
 
         Returns
         -------
         numpy.ndarray
-            What jumps of the model's slopes add to :meth:`integral`, whose :math:`\gamma` is one;
-            the range that :math:`\gamma` leaves, :math:`B(d, d)`; and what the model may lack of
-            :math:`B(g^-, g^+)`.
+            What jumps of the model's slopes and rates add to :meth:`integral`, whose :math:`\gamma`
+            is one; the range that :math:`\gamma` leaves, :math:`B(d, d)`; and what the model may
+            lack of its jumps.
         """
-        mean = known.mean(axis=0)
+        mean, steps = known.mean(axis=0), np.diff(times)
         left = np.gradient(rates, times) - mean
         sides = np.array([known - mean, [left, left], LEAST_PRIOR * known])
-        bent = -(np.diff(times) ** 2) / 12.0 * (sides[:, 0, 1:] - sides[:, 1, :-1])
+        bent = -(steps**2) / 12.0 * (sides[:, 0, 1:] - sides[:, 1, :-1])
+        bent -= np.outer([1.0, 0.0, 1.0], 0.5 * steps * leaps[1:])
         return np.pad(np.cumsum(bent, axis=1), ((0, 0), (1, 0)))
 
     def __str__(self) -> str:
@@ -187,10 +196,10 @@ def integral(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(parts, axis=0)])
 
 
-def nominal_rates(
+def nominal_sides(
     model: Model, times: np.ndarray, values: Mapping[str, np.ndarray], inputs: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Rates of measured states by the nominal model, just before and just after each sample.
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """What the nominal model says just before and just after each sample.
 
     Parameters
     ----------
@@ -205,20 +214,29 @@ def nominal_rates(
 
     Returns
     -------
-    dict
-        Signal to ``(2, n_times)``; nothing where the model has no finite rate.
+    dict, dict
+        Rates of measured states, and outputs, ``(2, n_times)`` each; nothing where the model has
+        no finite value.
     """
     graph, shown = build(model), {o.source: o.name for o in model.outputs}
     names, zero = [shown.get(state, "") for state in model.state_names], np.zeros(times.size)
     own = np.array([values.get(name, zero) for name in names])
     earlier = np.where(graph.linear_inputs, inputs, np.concatenate([inputs[:1], inputs[:-1]]))
-    sides = [
-        np.array(graph.settled_rates(own, commands.T, model.value_vector, times[None]))
-        for commands in (earlier, inputs)
-    ]
+    sides = zip(
+        *(
+            graph.settled(own, commands.T, model.value_vector, times[None])
+            for commands in (earlier, inputs)
+        ),
+        strict=True,
+    )
     # Where it diverges it says nothing, in numbers that can still be squared.
-    both = np.nan_to_num(sides, posinf=0.0, neginf=0.0).clip(-1e9, 1e9)
-    return {name: both[:, k] for k, name in enumerate(names) if name}
+    rates, outputs = (
+        np.nan_to_num(np.array(both), posinf=0.0, neginf=0.0).clip(-1e9, 1e9) for both in sides
+    )
+    return (
+        {name: rates[:, k] for k, name in enumerate(names) if name},
+        {name: outputs[:, k] for k, name in enumerate(model.output_names)},
+    )
 
 
 def names_of(relations: Iterable[Relation]) -> tuple[str, ...]:
@@ -242,19 +260,43 @@ def relations(
     """
     absent = set(missing)
     outputs = [o for o in model.outputs if o.name not in absent]
-    # A state is measured where an output shows it and nothing else.
-    shown = {o.source: o.name for o in outputs if o.source in model.state_names}
-    measured = {state: shown[state] for state in model.state_names if state in shown}
+    shown, measured = _measured(model, outputs)
     # Kinematics to which no effect adds anything.
-    free = measured.keys() - touched(model)
-    stated = [(measured[s], text, True) for s, text in model.kinematics.items() if s in free]
-    stated += [(o.name, o.source, False) for o in outputs if o.source not in shown]
+    free = shown.keys() - touched(model)
+    stated = [(shown[s], text, True) for s, text in model.kinematics.items() if s in free]
+    stated += [(o.name, o.source, False) for o in outputs if o.source not in measured]
+    stated += _accelerated(outputs, shown)
     declared = [_declared(model, *one, measured) for one in stated]
     found = tuple(filter(None, declared))
     # Where the model has an equation for one of these states, it knows better.
     taken = {*model.kinematics, *(r.target for r in found)}
     every = (*found, *standard(outputs, set(spare), taken))
     return tuple(replace(one, model=model) for one in every)
+
+
+def _measured(model: Model, outputs: Iterable[Output]) -> tuple[dict[str, str], dict[str, str]]:
+    """States that outputs show and nothing else, and everything that is known by measurement.
+
+    So is a signal that nothing else that was measured gives, and a rate that an output names: an
+    acceleration say.
+    """
+    named = {o.source: o.name for o in outputs}
+    shown = {state: named[state] for state in model.state_names if state in named}
+    inner = (signal for signal in model.signals if signal in named)
+    known = {s: named[s] for s in inner if needed_by(model, s, {*shown}) is None}
+    rates = {name: name for source, name in named.items() if source.startswith("dot(")}
+    return shown, shown | known | rates
+
+
+def _accelerated(
+    outputs: Iterable[Output], shown: Mapping[str, str]
+) -> Iterator[tuple[str, str, bool]]:
+    """Rates of measured states from outputs that name them: of ``dot(u) - v*r`` it and ``v*r``."""
+    for output, (state, name) in product(outputs, shown.items()):
+        rate = f"dot({state})"
+        rest = output.source.removeprefix(rate).strip()
+        if output.source.startswith(rate) and rest[:1] in ("", "+", "-"):
+            yield name, output.name + f" - ({rest})" * bool(rest), True
 
 
 def _declared(

@@ -179,7 +179,8 @@ def screen(trace: Trace, shared: int = 1) -> list[Fault]:
     noisy = max(trace.noise.values(), default=0.0) > 0.0
     found = list[Fault]()
     for (first, series), (second, other) in combinations(trace.values.items(), 2):
-        if np.array_equal(series, other) and np.nanstd(series) > 0.0:
+        same = np.array_equal(series, other, equal_nan=True)
+        if same and np.unique(series[np.isfinite(series)]).size > 1:
             rows = np.arange(trace.times.size)
             found.append(Fault("copied", f"{second} = {first}", trace.name, rows))
     for name, values in trace.values.items():
@@ -282,8 +283,8 @@ class Signal:
         changes = np.abs(np.diff(series))
         jump = 3.0 * float(np.quantile(changes[changes > 0.0], 0.95))
         with np.errstate(invalid="ignore"):
-            both = (np.abs(into) > jump) & (np.abs(out) > jump)
-            fallen = both & (np.sign(into) * np.sign(out) < 0.0)
+            falls, leaps = np.abs(into) > jump, np.abs(out) > jump
+            fallen = falls & leaps & (np.sign(into) * np.sign(out) < 0.0)
         far = np.abs(runs.value - np.median(series)) > 10.0 * (self.reach or np.ptp(series))
         values, place = np.unique(runs.value, return_inverse=True)
         recurs = np.bincount(place, weights=fallen)[place] * (not coarse)
@@ -299,7 +300,8 @@ class Signal:
         again = np.bincount(place, weights=three)[place] > 1
         lost |= three & again & sudden & ~extreme & (not coarse)
         long = (runs.length >= least) & ~lost
-        level = (runs.length >= min(3.0, least)) & extreme & ~lost & ~both
+        # What is cut off leaves its limit and returns to it as it moves.
+        level = (runs.length >= min(3.0, least)) & extreme & ~(lost | falls | leaps)
         cut = level & ((np.bincount(place, weights=level)[place] >= 2) | long) & (not coarse)
         # A slow signal stays on a step of its converter.
         masks = lost, cut, long & ~cut & (runs.length >= 8) & sudden & (not coarse)
