@@ -8,7 +8,6 @@ import socket
 import tempfile
 import threading
 import time
-import tomllib
 import webbrowser
 from contextlib import suppress
 from importlib import import_module
@@ -17,6 +16,7 @@ from pathlib import Path
 
 from oed_sysid import OedSysidError, load_problem
 from oed_sysid.app.trust import SECRET
+from oed_sysid.runtime.tables import tables
 
 _SCRIPT = Path(__file__).with_name("frame.py")
 
@@ -45,7 +45,7 @@ def orders(problem: str | None = None, *, port: int = 8501) -> list[str]:
         )
     if problem is not None:
         load_problem(problem)  # said here, before a browser opens, if it cannot be
-    table = tomllib.loads(Path(__file__).with_name("server.toml").read_text(encoding="utf-8"))
+    table = tables(__file__, "server")
     options = [f"--{name}={value}" for name, value in {**table, "server.port": port}.items()]
     given = [] if problem is None else ["--", problem]
     return ["run", str(_SCRIPT), *options, *given]

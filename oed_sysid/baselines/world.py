@@ -17,10 +17,8 @@ Commands are those of the undisturbed run, and white noise is drawn alike in all
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.signal import lfilter
@@ -36,6 +34,7 @@ from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.physics.base import Force
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.tables import tables
 
 # Correlation time of forces and of a sensor's noise, in samples.
 LASTING = 4.0
@@ -266,7 +265,7 @@ def _narrow_band(
 
 
 IDEAL = "ideal"
-_TABLE = tomllib.loads(Path(__file__).with_name("worlds.toml").read_text(encoding="utf-8"))
+_TABLE = tables(__file__, "worlds")
 WORLDS: Mapping[str, World] = {name: World(**row) for name, row in _TABLE.items()}
 
 

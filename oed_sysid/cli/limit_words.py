@@ -6,18 +6,17 @@ Words that people use stand for the model's channels; angles are in degrees.
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from math import degrees, inf, isfinite, radians
-from pathlib import Path
 from typing import Any
 
 from oed_sysid import Input, Limits, Model, Output, State
 from oed_sysid.errors import DesignError
+from oed_sysid.runtime.tables import tables
 
-_TABLE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_TABLE = tables(__file__)
 SIGNALS, SURFACES = _TABLE["signals"], _TABLE["surfaces"]
 Channel = Input | Output | State
 # Which group of limits is of a channel that is an input or none, and what it is called.

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import inspect
 import shlex
-import tomllib
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import wraps
@@ -24,6 +23,7 @@ import oed_sysid
 from oed_sysid.cli.study import DEFAULT_MODEL, Option, Study, Task, grouped, options_of
 from oed_sysid.errors import FileError
 from oed_sysid.runtime.files import check_place
+from oed_sysid.runtime.tables import tables
 
 # Endings of files that say how they are written.
 _ENDINGS = {"picture": (".png", ".pdf", ".svg"), "card": (".txt", ".html", ".pdf")}
@@ -131,7 +131,7 @@ class Row:
         return self.flag or f"--{name.replace('_', '-')}"
 
 
-_TABLE = tomllib.loads(Path(__file__).with_name("options.toml").read_text(encoding="utf-8"))
+_TABLE = tables(__file__)
 ROWS = {name: Row(**row) for name, row in _TABLE.items()}
 
 

@@ -12,7 +12,6 @@ import contextlib
 import io
 import json
 import re
-import tomllib
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import is_dataclass, replace
 from datetime import UTC, datetime
@@ -31,6 +30,7 @@ from oed_sysid.data.frames import columns_of, is_time, plain
 from oed_sysid.data.log import TABLE, Log, Rows, assemble, meaning, topics_of, until_torn
 from oed_sysid.errors import DataError, library
 from oed_sysid.runtime.files import read_bytes
+from oed_sysid.runtime.tables import tables
 from oed_sysid.text.csv_table import read_table, text_lines, time_stamp
 from oed_sysid.text.units import is_unit, parse_header, to_si
 
@@ -830,7 +830,7 @@ _READERS = (
     *(read_matlab, read_excel, read_parquet),
 )
 _BY_NAME = {reader.__name__: reader for reader in _READERS}
-_ROWS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))["formats"]
+_ROWS = tables(__file__)["formats"]
 FORMATS = [Format(**row | {"reader": _BY_NAME[row["reader"]]}) for row in _ROWS]
 
 

@@ -32,12 +32,10 @@ good to 1e-4 of the distance within 10 km below 60 degrees of latitude.
 from __future__ import annotations
 
 import re
-import tomllib
 import unicodedata
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -46,12 +44,13 @@ import numpy as np
 from oed_sysid.data.record import on_circle
 from oed_sysid.errors import DataError, closest
 from oed_sysid.runtime.display import align
+from oed_sysid.runtime.tables import tables
 from oed_sysid.text.units import converts, is_unit, parse_header, to_si
 
 # -- units and symbols of fields that logs do not spell out but their formats define ---
 
 
-TABLE = tomllib.loads(files(__package__).joinpath("fields.toml").read_text("utf-8"))
+TABLE = tables(__file__, "fields")
 _KNOWN = tuple((re.compile(pattern), unit, symbol) for pattern, unit, symbol in TABLE["known"])
 
 

@@ -56,10 +56,8 @@ Sinica 7), so that the bound of :mod:`oed_sysid.design.allocation` covers progra
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -74,9 +72,10 @@ from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.constants import IMMATERIAL, RANK_TOLERANCE
 from oed_sysid.runtime.display import Section, Table, as_dict
+from oed_sysid.runtime.tables import tables
 
 # Sentences of designs.
-SAYS: dict[str, Any] = tomllib.loads(Path(__file__).with_name("sentences.toml").read_text("utf-8"))
+SAYS: dict[str, Any] = tables(__file__, "sentences")
 # Information that counts as none, in units of (relative error)**-2.
 NOTHING = RANK_TOLERANCE**2
 

@@ -222,16 +222,14 @@ def nominal_sides(
     names, zero = [shown.get(state, "") for state in model.state_names], np.zeros(times.size)
     own = np.array([values.get(name, zero) for name in names])
     earlier = np.where(graph.linear_inputs, inputs, np.concatenate([inputs[:1], inputs[:-1]]))
-    sides = zip(
-        *(
-            graph.settled(own, commands.T, model.value_vector, times[None])
-            for commands in (earlier, inputs)
-        ),
-        strict=True,
-    )
+    around = [
+        graph.settled(own, commands.T, model.value_vector, times[None])
+        for commands in (earlier, inputs)
+    ]
     # Where it diverges it says nothing, in numbers that can still be squared.
     rates, outputs = (
-        np.nan_to_num(np.array(both), posinf=0.0, neginf=0.0).clip(-1e9, 1e9) for both in sides
+        np.nan_to_num(np.array(sides), posinf=0.0, neginf=0.0).clip(-1e9, 1e9)
+        for sides in zip(*around, strict=True)
     )
     return (
         {name: rates[:, k] for k, name in enumerate(names) if name},

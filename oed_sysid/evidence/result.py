@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Hashable
 from dataclasses import dataclass, field, replace
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -15,12 +13,11 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.runtime import display
 from oed_sysid.runtime.display import Figure, Section, Table, as_dict, counted, share
+from oed_sysid.runtime.tables import tables
 from oed_sysid.text.units import shown_unit
 
 # Kinds of finding: sentences, and what follows from each.
-KINDS: dict[str, dict[str, Any]] = tomllib.loads(
-    files(__package__).joinpath("findings.toml").read_text("utf-8")
-)
+KINDS: dict[str, dict[str, Any]] = tables(__file__, "findings")
 # Faults that change a model's coefficients, whatever the motion.
 MATTER = ("sign", "unit", "scale", "delay")
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
-from importlib.resources import files
 from typing import Any
 
-SAYS: dict[str, dict[str, str]] = tomllib.loads(
-    files(__package__).joinpath("sentences.toml").read_text("utf-8")
-)
+from oed_sysid.runtime.tables import tables
+
+SAYS: dict[str, dict[str, str]] = tables(__file__)
 
 
 def say(about: str, row: str, **facts: Any) -> str:

@@ -1,8 +1,8 @@
 """What is done with a vehicle: manoeuvres, experiments and their limits, simulation, problems."""
 
-import tomllib
-from pathlib import Path
 from typing import Any
 
+from oed_sysid.runtime.tables import tables
+
 # Sentences of runs and problems that cannot be had.
-SAYS: dict[str, Any] = tomllib.loads(Path(__file__).with_name("sentences.toml").read_text("utf-8"))
+SAYS: dict[str, Any] = tables(__file__, "sentences")

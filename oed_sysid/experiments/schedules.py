@@ -454,8 +454,8 @@ class Tabulated(base.OpenLoop):
 
     @property
     def _delay(self) -> float:
-        """How much later than its times it is played [s]: no kind but a replay has a start."""
-        return float(getattr(self, "start", self.times[0]) - self.times[0])
+        """How much later than its times it is played [s]."""
+        return 0.0
 
     @property
     def duration(self) -> float | None:
@@ -545,6 +545,11 @@ class FromRecord(Tabulated):
         """Return one line in words."""
         source = f" of record {self.record!r}" if self.record else ""
         return f"replay of {self.input}{source}: {len(self.times)} samples from {self.start:g} s"
+
+    @property
+    def _delay(self) -> float:
+        """From the first time to the start [s]."""
+        return self.start - self.times[0]
 
 
 # Feedback taps of maximum-length shift registers, one set of each order:

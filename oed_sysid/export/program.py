@@ -25,12 +25,10 @@ from __future__ import annotations
 
 import keyword
 import re
-import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.resources import files
-from pathlib import Path
 from string import Template
 
 import casadi as ca
@@ -44,6 +42,7 @@ from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.tables import tables
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.callables import OPERATION_WORDS
 from oed_sysid.text.typeset import safe, safe_unit
@@ -384,7 +383,7 @@ _SAME = (
     "exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh",
     "asinh", "acosh", "atanh", "floor", "ceil", "erf", "log1p", "expm1",
 )  # fmt: skip
-_TABLE = tomllib.loads(Path(__file__).with_name("operations.toml").read_text(encoding="utf-8"))
+_TABLE = tables(__file__, "operations")
 
 
 def _formats(language: str) -> dict[str, str]:

@@ -5,13 +5,11 @@ Structural identifiability: what no manoeuvre and no accuracy could separate.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 from math import sqrt
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +21,7 @@ from oed_sysid.likelihood.fit import ALIKE
 from oed_sysid.likelihood.information import Information
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Report, Section, Table, as_dict, as_text, share
+from oed_sysid.runtime.tables import tables
 from oed_sysid.text import notation
 
 
@@ -72,7 +71,7 @@ def collinearity_index(information: Information, names: Sequence[str] | None = N
 
 
 # Sentences of the information in runs.
-SAYS: dict[str, Any] = tomllib.loads(Path(__file__).with_name("sentences.toml").read_text("utf-8"))
+SAYS: dict[str, Any] = tables(__file__, "sentences")
 # Up to here all sets are looked at that could be larger than the best one found: 2^17 at most.
 ENUMERATED = 17
 # A parameter of which nothing is known has a value that is wrong by this share.

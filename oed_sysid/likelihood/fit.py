@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -35,10 +34,11 @@ from oed_sysid.runtime.display import (
     rounded,
     share,
 )
+from oed_sysid.runtime.tables import tables
 from oed_sysid.text.units import shown_unit
 
 # Sentences of a report.
-SAYS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+SAYS = tables(__file__)
 # Records that a page draws.
 MOST_DRAWN = 8
 # Correlation of two estimates from which on they can hardly be told apart.

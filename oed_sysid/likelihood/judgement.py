@@ -51,12 +51,10 @@ An output is explained where the answer shows, :math:`d > C`, and the records fa
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, islice
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -85,10 +83,11 @@ from oed_sysid.likelihood.laws import departures_beside, laws_of, loss_without, 
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.runtime.constants import BEYOND, IMMATERIAL, MATERIAL, NEGLIGIBLE
 from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
+from oed_sysid.runtime.tables import tables
 from oed_sysid.text.units import shown_unit
 
 # Sentences of every kind of concern, and what differs in them from case to case.
-_TABLE = tomllib.loads(Path(__file__).with_name("concerns.toml").read_text(encoding="utf-8"))
+_TABLE = tables(__file__, "concerns")
 SAYS, SO = _TABLE["says"], _TABLE["so"]
 # A fit goes through the verdict as what it is.
 Judged = TypeVar("Judged", bound=Estimate)

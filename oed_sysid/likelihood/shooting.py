@@ -201,7 +201,8 @@ class Shooting(Posed):
         # By the chain rule: what remembers starts where the own states and the parameters put it.
         own, values = self.initial_state(unknowns, record), self.values(unknowns, record)
         z0, dz0 = self.kernel.start(own, data.inputs[0], values, data.times[0])
-        dz0[:, self.layout.n_own :] *= self.slopes(unknowns, record)
+        if not self.layout.is_plain:
+            dz0[:, self.layout.n_own :] *= self.slopes(unknowns, record)
         return z0, dz0
 
     def slopes(self, unknowns: np.ndarray, record: int) -> np.ndarray:

@@ -6,21 +6,20 @@ What a diagnosis tries when the user names nothing else. Each has one amplitude
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from oed_sysid.physics import forces, signals
 from oed_sysid.physics.base import Effect, Force, amplitude
 from oed_sysid.physics.table import FOSSEN
 from oed_sysid.physics.variants import day_to_day
+from oed_sysid.runtime.tables import tables
 from oed_sysid.text import expressions, notation
 
 SEA_WATER_DENSITY = 1025.0  # kg/m3, at 15 degrees Celsius and 3.5 per cent salinity
 
-_SETS = tomllib.loads(Path(__file__).with_name("candidates.toml").read_text(encoding="utf-8"))
+_SETS = tables(__file__)
 
 
 def listed(kind: str, **known: Any) -> list[Any]:

@@ -22,7 +22,6 @@ coefficient, SNAME (1950).
 from __future__ import annotations
 
 import inspect
-import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import wraps
@@ -34,12 +33,13 @@ import numpy as np
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.physics.base import Effect, ExtraState, Force, Memory, amplitude
 from oed_sysid.physics.parameters import Parameter
+from oed_sysid.runtime.tables import tables
 from oed_sysid.text import expressions, notation
 from oed_sysid.text.callables import Table, check_table
 from oed_sysid.text.csv_table import read_table
 from oed_sysid.text.units import parse_header, to_si
 
-_TABLE = tomllib.loads(Path(__file__).with_name("effects.toml").read_text(encoding="utf-8"))
+_TABLE = tables(__file__, "effects")
 #: Citations by the names that rows use.
 SOURCES: Mapping[str, str] = _TABLE.pop("sources")
 #: Cited by effects of rigid bodies.

@@ -7,18 +7,18 @@ now holds its names, not a copy of it.
 from __future__ import annotations
 
 import sys
-import tomllib
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
-from pathlib import Path
 from types import ModuleType
 
+from oed_sysid.runtime.tables import tables
+
 # Old public path and where its names are, below the package.
-MOVED: dict[str, str] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
+MOVED: dict[str, str] = tables(__file__)
 
 
 def new_path(name: str) -> str | None:

@@ -17,7 +17,6 @@ import csv
 import io
 import os
 import re
-import tomllib
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -34,6 +33,7 @@ import numpy as np
 from oed_sysid.errors import DataError
 from oed_sysid.runtime import files
 from oed_sysid.runtime.constants import LONGEST_LINE, TABLE_BYTES
+from oed_sysid.runtime.tables import tables
 from oed_sysid.text.units import is_unit, parse_header
 
 # -- one cell of a table ---------------------------------------------------------------
@@ -48,7 +48,7 @@ _CLOCK = re.compile(r"(\d{1,3}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
 # Day, month and year with points between them, in one order wherever they are written so.
 _POINTS = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[T ]+(\d{1,2}:.+)")
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}")
-_KNOWN = tomllib.loads(Path(__file__).with_name("file_kinds.toml").read_text(encoding="utf-8"))
+_KNOWN = tables(__file__, "file_kinds")
 # Patterns of cells that are no number, and what to do about them.
 _COMPLAINTS = tuple((re.compile(one, re.IGNORECASE), words) for one, words in _KNOWN["complaints"])
 

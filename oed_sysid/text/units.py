@@ -14,25 +14,24 @@ Every unit that is understood, with its factor to SI.
 from __future__ import annotations
 
 import re
-import tomllib
 import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from math import floor, inf, log10, pi
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from oed_sysid.errors import DataError
+from oed_sysid.runtime.tables import tables
 
 # -- every unit that is understood -----------------------------------------------------
 
 
-_TABLE = tomllib.loads(Path(__file__).with_name("units.toml").read_text(encoding="utf-8"))
+_TABLE = tables(__file__)
 # Symbols that the package calculates with.
 SI = tuple(_TABLE["dimensions"])
 # unit: (factor to SI, SI unit).
