@@ -385,7 +385,7 @@ class _Bench:
             problem = self.quiet.problem.posed(self._levels(place, level))
             return begun(problem, problem.beside(others).unknowns)
 
-        return at(likeliest_decade(lambda decade: 2.0 * at(decade).cost, climb=False))
+        return at(likeliest_decade(lambda decade: 2.0 * at(decade).cost))
 
     def _levels(self, place: Place, size: float) -> Levels:
         """The level and time of one place unknown, and what nobody declared of the sensors."""

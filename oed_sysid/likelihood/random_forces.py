@@ -22,7 +22,8 @@ states and parameters have followed: where ``T`` is below, what the likelihood g
 levels stands for it (:func:`_likeliest_sea`), no more than everything together would gain. Where
 either is beyond, resonators are estimated *instead* of the forces, first at the period of the test,
 then with everything together; three shapes compete, and the sea stays where it is clearly likelier,
-or is beside them. Forces of first order on top are asked last, because a wrong shape lets them in.
+or is beside them. Forces of first order on top are asked last, because a wrong shape lets them in,
+and beside them once more whether waves are one, and of which shape.
 Where these show nothing at the fit to white noise the same is asked there
 (:func:`sea_beside_white`).
 """
@@ -234,8 +235,8 @@ def _likeliest_level(
     r"""Point with the likeliest level of each force at given other unknowns.
 
     The likelihood is flat where the levels do nothing yet, rises, and falls where they are too
-    large: strides find the valley of all together, if they are to ``climb``, then single decades.
-    There each variance follows its own score by the expected information, all else held,
+    large: strides find the valley of all together, if they are to ``climb``. There each variance
+    follows its own score by the expected information, all else held,
 
     .. math:: d \leftarrow d + I^{-1} s ,
 
@@ -262,9 +263,10 @@ def _likeliest_level(
         least[variances] = (1.0 / stride - 1.0) * unknowns[variances]
         return np.maximum(lower, least), np.minimum(upper, most)
 
-    decade = likeliest_decade(lambda one: problem.objective(at(one)), climb=climb)
-    if len(forces) < 2:  # no proportions
-        return begun(problem, at(decade))
+    objective = cache(lambda decade: problem.objective(at(decade)))
+    decade = climbed(objective) if climb else 0
+    if len(forces) < 2:  # no proportions: single decades tell it as well
+        return begun(problem, at(likeliest_decade(objective, decade)))
     evaluate = partial(whitened, levels_only=True)
     first = evaluate(problem, Point(at(decade), ()))
     control = StepControl(FEW, MOST_DAMPING)
@@ -273,18 +275,22 @@ def _likeliest_level(
     return descent.lowest
 
 
-def likeliest_decade(objective: Callable[[int], float], *, climb: bool) -> int:
-    """The likeliest decade of all levels: by strides while likelier, then by single ones.
+def climbed(objective: Callable[[int], float]) -> int:
+    """The decade of all levels up to which strides make records likelier.
 
     There may be several valleys where values are far off.
     """
-    objective = cache(objective)
     best = 0
-    for decade in range(0, DECADES + 1 if climb else 0, STRIDE):
+    for decade in range(0, DECADES + 1, STRIDE):
         if objective(decade) < objective(best) - 1.0:
             best = decade
         elif np.isfinite(objective(best)) and (best or not np.isfinite(objective(decade))):
             break
+    return best
+
+
+def likeliest_decade(objective: Callable[[int], float], best: int = 0) -> int:
+    """The likeliest decade of all levels next to one, while likelier."""
     for way in (-1, 1):
         while objective(best + way) < objective(best) - 1.0 and best <= DECADES:
             best += way
@@ -723,10 +729,14 @@ def with_sea(
     if sea.finite is None:
         return found
     waves = admitted(sea, setting, {one_wave: 2.0 * WORTH})
-    if not (setting.seas or _clearly_a_sea(sea, waves, found, setting)):
+    beside = cache(partial(admitted, setting=setting, parts={beside_a_sea: WORTH}))
+    if not (setting.seas or _clearly_a_sea(sea, waves, found, setting, beside)):
         return found
-    together = admitted(_of_each_record(waves, setting), setting, {without_tails: 0.0})
-    return together if setting.seas else admitted(together, setting, {beside_a_sea: WORTH})
+    best = admitted(_of_each_record(waves, setting), setting, {without_tails: 0.0})
+    while not setting.seas and (both := beside(best)) is not best:
+        # What gusts took of waves, or waves of gusts, may have hidden that these are one.
+        best = admitted(both, setting, {one_wave: 2.0 * WORTH, without_tails: 0.0})
+    return best
 
 
 def _of_each_record(found: FilteredSolution, setting: Setting) -> FilteredSolution:
@@ -749,7 +759,11 @@ def _of_each_record(found: FilteredSolution, setting: Setting) -> FilteredSoluti
 
 
 def _clearly_a_sea(
-    sea: FilteredSolution, waves: FilteredSolution, found: FilteredSolution, setting: Setting
+    sea: FilteredSolution,
+    waves: FilteredSolution,
+    found: FilteredSolution,
+    setting: Setting,
+    beside: Callable[[FilteredSolution], FilteredSolution],
 ) -> bool:
     """Whether a sea is clearly likelier than forces of first order, or is so beside them.
 
@@ -758,7 +772,7 @@ def _clearly_a_sea(
     """
     if _clearer(sea, found, setting):
         return True
-    both = admitted(waves, setting, {beside_a_sea: WORTH})
+    both = beside(waves)
     return both is not sea and _clearer(both, with_own_times(found, setting), setting)
 
 
@@ -921,8 +935,8 @@ def _at_sea(
     # One of a resonator's shapes may lead off where the other leads straight on.
     pairs = [shape for shape in shapes if SHAPES[shape] != FOURTH] or shapes
     noises = [replace(alone, seas=(replace(sea, shape=shape),)) for shape in pairs]
-    tried = [again(one, noise, held, FIRST_STEPS) for noise in noises for one in begin]
-    near = min(tried, key=lambda one: one.cost)
+    tried = [again(one, noise, held, FEW) for noise in noises for one in begin]
+    near = _first_home(tried, partial(solved, most=FIRST_STEPS - FEW, tolerance=NEAR))
     if near.finite is None:
         return near
     noise, free = near.noise, replace(known, shape=None)
