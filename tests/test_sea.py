@@ -27,15 +27,15 @@ from oed_sysid.evidence.rank import Ranking, rank
 from oed_sysid.evidence.score import lines
 from oed_sysid.evidence.study import Study
 from oed_sysid.experiments.simulation import simulate as simulate_forces
-from oed_sysid.likelihood import random_forces
+from oed_sysid.likelihood import random_forces, sea_search
 from oed_sysid.likelihood.covariance import clear_peaks, spectral_peak
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import SHAPES, Levels, NoiseModel
 from oed_sysid.likelihood.projection import gain_within
-from oed_sysid.likelihood.random_forces import threshold
 from oed_sysid.likelihood.realisation import drawn_disturbances, forces_of_sea
 from oed_sysid.likelihood.score_test import Scored, Setting, moved, posed
+from oed_sysid.likelihood.sea_search import threshold
 from oed_sysid.physics import Parameter, wave_force
 from oed_sysid.physics.channels import Channels, Input, Output
 
@@ -311,7 +311,7 @@ def test_every_peak_of_the_test_is_a_period_to_begin_at(monkeypatch: pytest.Monk
     """Two swells at once: both periods are tried, and the likelier end is the fit's."""
     tried: list[list[float]] = []
     ends: list[FilteredSolution] = []
-    periods, at_sea = random_forces._likely_periods, random_forces._at_sea
+    periods, at_sea = sea_search._likely_periods, sea_search._at_sea
 
     def kept(*given: object) -> list[float]:
         tried.append(periods(*given))
@@ -321,13 +321,13 @@ def test_every_peak_of_the_test_is_a_period_to_begin_at(monkeypatch: pytest.Monk
         ends.append(at_sea(*given))
         return ends[-1]
 
-    monkeypatch.setattr(random_forces, "_likely_periods", kept)
-    monkeypatch.setattr(random_forces, "_at_sea", ended)
+    monkeypatch.setattr(sea_search, "_likely_periods", kept)
+    monkeypatch.setattr(sea_search, "_at_sea", ended)
     fit = MultipleShooting().fit(SHIP, records("swells", 0, 2 * LEVEL))
     (found,) = tried
     assert len(found) == 2
     for period, peak in zip((PERIOD, 2.5 * PERIOD), found, strict=True):
-        assert abs(np.log(peak / period)) < 0.5 * np.log(random_forces.NEXT_PERIOD) + 0.1
+        assert abs(np.log(peak / period)) < 0.5 * np.log(sea_search.NEXT_PERIOD) + 0.1
     best = min(ends, key=lambda one: one.restricted)
     assert fit.noise.seas[0].period == pytest.approx(best.noise.seas[0].period, rel=0.05)
 
@@ -371,7 +371,7 @@ def looked_at(series: list[np.ndarray], periods: list[float], step: float) -> np
     problem = SimpleNamespace(records=records, passes=lambda *_, **__: parts)
     found = SimpleNamespace(problem=problem, point=SimpleNamespace(unknowns=None))
     calm = [Sea(one, bandwidth=0.3, levels={"r": 0.0}, shape="velocity") for one in periods]
-    return random_forces._in_spectrum(found, calm)
+    return sea_search._in_spectrum(found, calm)
 
 
 def test_a_look_at_white_innovations_leads_on_as_seldom_as_it_says() -> None:

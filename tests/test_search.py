@@ -32,8 +32,8 @@ from oed_sysid.evidence.search import (
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.laws import Law
+from oed_sysid.likelihood.noise_parts import begun
 from oed_sysid.likelihood.projection import eliminate
-from oed_sysid.likelihood.random_forces import begun
 from oed_sysid.physics import actuator_delay, actuator_lag, sensor_bias
 from oed_sysid.runtime.journal import Journal
 

@@ -31,7 +31,7 @@ from oed_sysid.likelihood.disturbances import Place, places
 from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import FEW, NEAR, FilteredSolution, Iterate, solve_filtered
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel, correlation_times
-from oed_sysid.likelihood.random_forces import begun, likeliest_decade, solved
+from oed_sysid.likelihood.noise_parts import begun, likeliest_decade, solved
 from oed_sysid.likelihood.score_test import LEAST_SEEN
 from oed_sysid.runtime.constants import NEGLIGIBLE
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text

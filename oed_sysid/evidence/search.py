@@ -31,7 +31,7 @@ from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.estimate import once_a_fit
 from oed_sysid.likelihood.gauss_newton import NEAR, FilteredSolution
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.random_forces import periods, with_sea
+from oed_sysid.likelihood.sea_search import periods, with_sea
 from oed_sysid.physics import Effect
 from oed_sysid.physics.table import POLYNOMIAL
 from oed_sysid.physics.variants import BY_RECORD

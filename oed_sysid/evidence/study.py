@@ -43,15 +43,10 @@ from oed_sysid.likelihood.integration import resolved
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels, residual_levels
 from oed_sysid.likelihood.noise_model import Disturbances, Levels, NoiseModel, forces_in, seas_in
+from oed_sysid.likelihood.noise_parts import admitted, solved, with_own_times
 from oed_sysid.likelihood.projection import eliminate, inverse_of
-from oed_sysid.likelihood.random_forces import (
-    Start,
-    admitted,
-    fit_disturbed,
-    solved,
-    with_own_times,
-)
-from oed_sysid.likelihood.score_test import ScoreTest, Setting, score_test
+from oed_sysid.likelihood.random_forces import fit_disturbed
+from oed_sysid.likelihood.score_test import ScoreTest, Setting, Start, score_test
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.summary import Procedure, summarise_filtered
 from oed_sysid.likelihood.whole_runs import WholeRun, rms, whole_runs

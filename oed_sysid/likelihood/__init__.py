@@ -24,6 +24,7 @@ module                          subject
 ``captive``                     forces measured at given motion, in the same likelihood
 ``filtered``, ``random_forces`` process noise and autocorrelated sensors: filter, levels
 ``score_test``                  whether process noise acts at all; scores of what is absent
+``sea_search``, ``noise_parts`` whether that is a sea; other parts of a noise model, one search
 ``gauss_newton``                direction, step control, convergence: the one solver
 ``multiple_shooting``           from records to a fit: the estimator
 ``covariance``, ``summary``     what the end says about errors, as a :class:`~.fit.Fit`

@@ -22,14 +22,22 @@ from oed_sysid.likelihood.disturbances import Place, chosen_places, commands, de
 from oed_sysid.likelihood.estimate import ProcessNoiseTest
 from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.gauss_newton import FEW, FilteredSolution, Progress, Solution, solve
+from oed_sysid.likelihood.gauss_newton import (
+    FEW,
+    FIRST_STEPS,
+    FilteredSolution,
+    Progress,
+    Solution,
+    solve,
+)
 from oed_sysid.likelihood.integration import resolved
 from oed_sysid.likelihood.judgement import concerns_of, with_verdict
 from oed_sysid.likelihood.laws import posed_again
 from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, forces_in, seas_in
 from oed_sysid.likelihood.nonlinear_program import constrained, solve_constrained, solve_within
-from oed_sysid.likelihood.random_forces import FIRST_STEPS, Start, fit_disturbed, sea_beside_white
-from oed_sysid.likelihood.score_test import ScoreTest, Setting, score_test
+from oed_sysid.likelihood.random_forces import fit_disturbed
+from oed_sysid.likelihood.score_test import ScoreTest, Setting, Start, score_test
+from oed_sysid.likelihood.sea_search import sea_beside_white
 from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
 from oed_sysid.likelihood.smoother import outlying
 from oed_sysid.likelihood.start_guess import check_channels
