@@ -140,6 +140,11 @@ def pair(vehicle: Vehicle, *faults: Fault) -> Dataset:
     return Dataset(log(vehicle, *faults).records[:2])
 
 
+def one_run(vehicle: Vehicle, *faults: Fault) -> Dataset:
+    """Return the first record of a log."""
+    return Dataset(log(vehicle, *faults).records[:1])
+
+
 def match(found: LogCheck, fault: Fault):  # type: ignore[no-untyped-def]
     """Return the finding that names a fault outright, or None."""
     for one in found.findings:

@@ -688,8 +688,13 @@ def largest_departure(fit: Fit, other: Fit) -> float:
     return max(abs(fit.values[name] - other.values[name]) / errors[name] for name in fit.names)
 
 
-@pytest.mark.parametrize("share", [0.005, *slow(0.02), 0.05])
-@pytest.mark.parametrize("one_sided", [False, True])
+@pytest.mark.parametrize(
+    ("share", "one_sided"),
+    [
+        (0.005, True), (0.05, False),
+        *slow((0.005, False), (0.02, False), (0.02, True), (0.05, True)),
+    ],
+)  # fmt: skip
 def test_spikes_do_not_become_process_noise(share: float, one_sided: bool) -> None:
     """Spikes of 5 to 50 noise levels: values and errors stay those of the clean records."""
     for seed in range(3):
@@ -709,7 +714,7 @@ def test_spikes_do_not_become_process_noise(share: float, one_sided: bool) -> No
 
 
 @pytest.mark.parametrize(
-    ("size", "length", "least"), [(20.0, 1, 1.0), (20.0, 3, 0.9), (6.0, 1, 0.8)]
+    ("size", "length", "least"), [*slow((20.0, 1, 1.0)), (20.0, 3, 0.9), (6.0, 1, 0.8)]
 )
 def test_spikes_beside_process_noise(size: float, length: int, least: float) -> None:
     """Where forces act too, they are estimated as on clean records, and spikes are counted."""
@@ -973,7 +978,7 @@ def test_an_unstable_vehicle_with_the_rudder_of_another_run_is_not_explained() -
     """The same runs, with a log of the rudder that is none."""
     rng = np.random.default_rng(2)
     foreign = with_inputs(
-        carried(13, (40.0, 60.0, 80.0)),
+        carried(13, (40.0, 80.0)),
         lambda one: np.column_stack([0.2 * rng.standard_normal(401), one.inputs[:, 1]]),
     )
     fit = MultipleShooting().fit(CARRIED, foreign)
