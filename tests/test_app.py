@@ -299,6 +299,7 @@ def test_check_page_names_a_wrong_log_and_offers_copies(ship: Path) -> None:
     assert not app.warning
 
 
+@pytest.mark.slow
 def test_check_page_says_what_it_does_not_correct(ship: Path) -> None:
     """A heading of another run is no fault that a copy could undo."""
     channels = load_problem(ship).channels
@@ -549,6 +550,7 @@ def test_choices_outlive_their_widgets(ship: Path) -> None:
     assert any(caption.value == "Training records: zigzag_10_10" for caption in app.caption)
 
 
+@pytest.mark.slow
 def test_reload_in_mid_job_waits_for_the_same_job(ship: Path) -> None:
     """A job goes on while the browser is away, and its result is found by the same address."""
     app = following(opened(ship))
@@ -559,6 +561,7 @@ def test_reload_in_mid_job_waits_for_the_same_job(ship: Path) -> None:
     assert mine[0] in desk()._jobs.values()
 
 
+@pytest.mark.slow
 def test_two_tabs_are_two_studies(ship: Path) -> None:
     """A choice in one tab changes nothing in the other, and both are found again."""
     one, two = opened(ship), opened(ship)

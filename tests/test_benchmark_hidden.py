@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from benchmarks import rates
+from benchmarks.missing_physics import simulator
 from benchmarks.missing_physics.cases import CONDITIONS, draws
 from benchmarks.missing_physics.simulator import PRIORS, TEST, TRAIN, Case, simulate
 from benchmarks.other_vehicles.cases import draws as draws_vehicles
@@ -63,9 +64,10 @@ def test_simulator_reproduces_records_of_another_simulator() -> None:
     assert np.mean(gap < 1e-5) > 0.9
 
 
-def test_cases_are_what_was_asked_for() -> None:
+def test_cases_are_what_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """Size and colour of noise, every effect in its turn; an unknown kind is refused."""
-    cases = [Case(f"{i}", PRIORS, noise=CONDITIONS["colour5"], seed=i) for i in range(6)]
+    cases = [Case(f"{i}", PRIORS, noise=CONDITIONS["colour5"], seed=i) for i in range(18)]
+    monkeypatch.setattr(simulator, "DURATION", 20.0)
     noise = np.array(
         [[(r.outputs - r.clean) / NOISE for r in own] for own in simulate(cases, TRAIN)]
     )

@@ -105,6 +105,7 @@ def test_unstable_vehicle_has_its_pole_and_is_steadied() -> None:
     assert max(np.abs(run.clean[:, 3]).max() for run in data.runs) < np.radians(30)
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_reference_recovers_the_truth_without_noise() -> None:
     """From five per cent off, to a ten-thousandth, over clean records."""

@@ -38,6 +38,7 @@ def test_a_candidate_is_what_is_hidden(kind: str) -> None:
     assert np.max(np.abs(run.outputs - hidden) / level) < 0.01
 
 
+@pytest.mark.slow
 def test_what_a_sea_hides_counts_as_hidden() -> None:
     """Rows that a sea makes are white in the unit that an effect is measured in; calm, in sensors.
 

@@ -82,7 +82,7 @@ def sums(
     return matrices, [s - m @ error for m, s in zip(matrices, raw, strict=True)], error, inverse
 
 
-@pytest.mark.parametrize("variation", [0.0, 0.3, 2.0])
+@pytest.mark.parametrize("variation", [0.3, *slow(0.0, 2.0)])
 def test_intervals_hold_and_are_not_smaller_than_honest(variation: float) -> None:
     """Noise alone, or parameters that vary from record to record: 95 % intervals hold."""
     rng = np.random.default_rng(3)

@@ -190,10 +190,10 @@ def drift_series(order: np.ndarray | None = None, *, quadratic: float = -30.0) -
     "settings",
     [
         {"disturbances": "none"},
-        {},
         {"horizon": 10.0},
         {"loss": "auto"},
         {"solver": Solver("ipopt")},
+        *slow({}),
     ],
 )
 @pytest.mark.parametrize("free_running", [False, True])

@@ -150,9 +150,9 @@ def test_corrected_copy_is_clean(dives, judged, tmp_path, name: str) -> None:  #
 # -- sizes -----------------------------------------------------------------------------------
 
 SIZED = [
-    (DIVER, Fault("bias", ("q",), 0.006)),
     (DIVER, Fault("lever", ("w",), 0.5, "q")),
     *slow(
+        (DIVER, Fault("bias", ("q",), 0.006)),
         (SHIP, Fault("scale", ("u",), 0.04)),
         (SHIP, Fault("delay", ("x", "y"), 0.8)),
         (DIVER, Fault("scale", ("u",), -0.05)),
@@ -623,7 +623,7 @@ DATA = Path(os.environ.get("OED_SYSID_DATA", "nowhere"))
 
 # -- answers that are faster than the sampling --------------------------------------------------
 
-PUBLISHED = ("auv_diving_plane", "nomoto_sparse_heading", "online_ship", "sailboat", "torpedo")
+PUBLISHED = ("auv_diving_plane", "nomoto_sparse_heading", "online_ship", "sailboat")
 
 
 def published_log(name: str) -> tuple[Problem, Dataset]:
@@ -632,7 +632,7 @@ def published_log(name: str) -> tuple[Problem, Dataset]:
     return problem, trials(problem.true_model(), problem.experiments.values(), (0,))
 
 
-@pytest.mark.parametrize("name", [*PUBLISHED, *slow("catamaran", "remus_6dof")])
+@pytest.mark.parametrize("name", [*PUBLISHED, *slow("torpedo", "catamaran", "remus_6dof")])
 def test_the_published_vehicles_log_nothing_wrong(name: str) -> None:
     """Nothing is suspect, the roll rate of a sailboat after its sheet was let go included.
 
@@ -734,7 +734,7 @@ def with_dead(data: Dataset, name: str, *numbers: int) -> Dataset:
     return altered(data, *numbers, **first)
 
 
-@pytest.mark.parametrize("name", ["u", "q", *slow("w", "theta", "z")])
+@pytest.mark.parametrize("name", ["q", *slow("u", "w", "theta", "z")])
 def test_a_dead_output_is_the_only_finding(dives_inputs, name: str) -> None:  # type: ignore[no-untyped-def]
     """The inputs are judged without it, or not at all; nothing is singular."""
     problem, data = dives_inputs
@@ -765,8 +765,11 @@ def test_records_without_the_speed_are_left_out_of_the_judgement(dives_inputs) -
     ("kind", "change"),
     [
         (None, lambda t, y: y),
-        ("unit", lambda t, y: np.degrees(y)),
-        *slow(("sign", lambda t, y: -y), ("delay", lambda t, y: np.interp(t - 0.5, t, y))),
+        *slow(
+            ("unit", lambda t, y: np.degrees(y)),
+            ("sign", lambda t, y: -y),
+            ("delay", lambda t, y: np.interp(t - 0.5, t, y)),
+        ),
     ],
 )
 def test_an_input_is_named_where_the_values_differ_from_the_nominal_ones(kind, change) -> None:  # type: ignore[no-untyped-def]
@@ -1032,8 +1035,7 @@ def stuck_for_a_while(angle: np.ndarray) -> np.ndarray:
     ("kind", "n_samples", "spoilt"),
     [
         (None, 0, lambda angle: angle),
-        ("frozen", 59, stuck_for_a_while),
-        *slow(("dropouts", 8, twice_lost)),
+        *slow(("frozen", 59, stuck_for_a_while), ("dropouts", 8, twice_lost)),
         ("held", 450, lambda angle: np.repeat(angle[::4], 4)[: angle.size]),
     ],
 )
@@ -1199,7 +1201,8 @@ def test_two_records_have_each_their_own() -> None:
     }
 
 
-@pytest.mark.parametrize("sizes", [(0.006, 0.010, 0.004), *slow(((0.02, 0.04, 0.03),))])
+@pytest.mark.slow
+@pytest.mark.parametrize("sizes", [(0.006, 0.010, 0.004), (0.02, 0.04, 0.03)])
 def test_each_record_has_a_bias_of_its_own(sizes: tuple[float, ...]) -> None:
     """Of one sign and three sizes: no step that sets in after the first samples of a record."""
     data = spoilt(SHIP, 0, {number: ("r", size) for number, size in enumerate(sizes)})
@@ -1333,10 +1336,12 @@ def test_log_without_equations_says_so() -> None:
 @pytest.mark.parametrize(
     ("fault", "undone"),
     [
-        ({"r": ("r", -1.0)}, "r has the wrong sign"),
-        ({"u": ("v", -1.0), "v": ("u", 1.0)}, "misalignment of u and v (90"),
         ({"x": ("y", 1.0), "y": ("x", 1.0)}, "x and y are in each other's column"),
         ({}, ""),
+        *slow(
+            ({"r": ("r", -1.0)}, "r has the wrong sign"),
+            ({"u": ("v", -1.0), "v": ("u", 1.0)}, "misalignment of u and v (90"),
+        ),
     ],
     ids=lambda one: one if isinstance(one, str) else "",
 )

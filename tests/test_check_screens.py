@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from altered import altered, trials
 from kinematic_logs import DIVER, SHIP, Vehicle, log
+from marks import slow
 from motion import small
 
 from benchmarks.truth import gauss_markov
@@ -134,7 +135,7 @@ def test_a_slow_sensor_sees_an_answer_in_its_next_samples(late: int) -> None:
     assert late == 0 or faults[0].amount == pytest.approx(1.0, abs=0.05)
 
 
-@pytest.mark.parametrize("signal", ["w", "q", "theta", "z"])
+@pytest.mark.parametrize("signal", ["q", "theta", *slow("w", "z")])
 def test_groups_in_a_log_are_the_only_finding(signal: str) -> None:
     """Three bursts of two to five samples of a dive: spikes, no bias, scale or delay."""
     problem = load_problem("remus_diving_plane")
@@ -223,7 +224,7 @@ def test_the_end_of_a_short_hold_is_no_step() -> None:
     assert "step" not in found_in(series)
 
 
-@pytest.mark.parametrize("signal", ["u", "z"])
+@pytest.mark.parametrize("signal", ["z", *slow("u")])
 def test_zeros_in_a_log_are_dropouts_and_nothing_else(signal: str) -> None:
     """The speed and the depth of a dive are positive: zeros there are no limit."""
     problem = load_problem("remus_diving_plane")
@@ -295,8 +296,7 @@ def test_motion_is_no_jump() -> None:
     ("vehicle", "signal", "size", "unit"),
     [
         (SHIP, "psi", np.pi / 2.0, "rad"),
-        (SHIP, "r", -0.1, "rad/s"),
-        (DIVER, "z", 2.0, "m"),
+        *slow((SHIP, "r", -0.1, "rad/s"), (DIVER, "z", 2.0, "m")),
     ],
 )
 def test_a_jump_is_the_only_finding_and_is_undone(
@@ -488,7 +488,7 @@ def test_fix_writes_what_was_logged_where_an_equation_fails(tmp_path, capsys) ->
         assert np.allclose(record.outputs, logged[record.name].outputs, rtol=1e-9)
 
 
-@pytest.mark.parametrize("colour", [0.0, 0.7, 0.95])
+@pytest.mark.parametrize("colour", [0.0, *slow(0.7), 0.95])
 def test_noise_of_any_colour_is_no_misfit(colour: float) -> None:
     """Clean logs of both vehicles leave less than a third of every left side."""
     for vehicle in (DIVER, SHIP):
@@ -536,7 +536,7 @@ def test_an_effect_with_memory_is_refused() -> None:
         in_each_record(backlash("play", "port", "N"))
 
 
-@pytest.mark.parametrize("held", [("train_steps",), ("train_zigzag_5_5",)])
+@pytest.mark.parametrize("held", [("train_steps",), *slow((("train_zigzag_5_5",),))])
 def test_depth_that_some_records_hold_is_no_other_fault(held: tuple[str, ...]) -> None:
     """A slow depth sensor in one of three records: held there, and nothing else is said."""
     problem = load_problem("remus_diving_plane")

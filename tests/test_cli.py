@@ -204,7 +204,7 @@ def test_suspect_log_ends_with_4_report_page_and_copies(tmp_path: Path, capsys) 
     """A wrong sign ends with 4, names the line, and its corrected copies pass."""
     problem = load_problem("remus_diving_plane")
     run = problem.experiments["zigzag_10_10"]
-    record = simulate(problem.model, run, rng=np.random.default_rng(8))
+    record = simulate(problem.model, replace(run, duration=45.0), rng=np.random.default_rng(8))
     turned = np.where(np.array(problem.model.output_names) == "theta", -1.0, 1.0)
     log = tmp_path / "zigzag.csv"
     write_csv(record.with_outputs(turned * record.outputs), log)
@@ -377,9 +377,9 @@ def test_improve_finds_what_was_hidden(ship: Path) -> None:
 @pytest.mark.parametrize(
     ("saver", "reader"),
     [
-        *(("improve", reader) for reader in READERS),
-        *(("fit", reader) for reader in ("export", "compare")),
-        *slow(*(("fit", reader) for reader in ("report", "design", "programme"))),
+        *(("improve", reader) for reader in READERS[:3]),
+        *slow(*(("improve", reader) for reader in READERS[3:])),
+        *slow(*(("fit", reader) for reader in READERS)),
     ],
 )
 def test_saved_model_goes_on(saver: str, reader: str, ship: Path, tmp_path: Path) -> None:

@@ -120,6 +120,7 @@ def test_limit_words_find_their_channels() -> None:
             with_limits(model, Limits(), [wrong])
 
 
+@pytest.mark.slow
 def test_programme_is_planned_and_written(ship: Path, tmp_path: Path, capsys) -> None:
     """Runs, hours and limits in words of the trade are kept; tables, page and JSON are written."""
     stored, page, runs = tmp_path / "p.json", tmp_path / "p.html", tmp_path / "runs"
@@ -148,6 +149,7 @@ def test_programme_is_planned_and_written(ship: Path, tmp_path: Path, capsys) ->
     assert "What to run" in page.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_campaign_goes_on_until_enough_is_known(ship: Path, tmp_path: Path, capsys) -> None:
     """Begun, broken off and resumed, it proposes runs that a hidden ship does, then stops."""
     folder = tmp_path / "trial"

@@ -131,7 +131,7 @@ def test_campaign_learns_from_each_run() -> None:
     stages = campaign(
         nominal, Trial(LIMITS, duration=40.0, sample_time=0.5, name="run"),
         lambda experiment: simulate(truth, replace(experiment, limits=Limits()), rng=rng), 2,
-        design=partial(design_experiment, rng=rng, search=search),
+        design=partial(design_experiment, rng=rng, search=search, caution=None),
     )  # fmt: skip
     assert [stage.record.name for stage in stages] == ["run_1", "run_2"]
     first, second = stages

@@ -11,7 +11,7 @@ from pathlib import Path
 import jinja2
 import numpy as np
 import pytest
-from marks import MEASURED
+from marks import MEASURED, slow
 from matplotlib.image import imread
 
 from benchmarks.documents import measured_data, page
@@ -176,6 +176,7 @@ def same(found: object, kept: object, **tolerance: float) -> None:
         assert plain == kept
 
 
+@pytest.mark.slow
 def test_auv() -> None:
     """Coefficients beyond 5 %, by run and way, and the errors of the reduced model."""
     script = paper("auv_diving_plane")
@@ -309,7 +310,7 @@ def test_a_number_that_decides_nothing_is_written(
     assert "| 1.57 % (" in lines[0]
 
 
-@pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.parametrize("name", ["auv_diving_plane", *slow("online_ship")])
 def test_figures_are_drawn(name: str, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     """Each figure of the quick papers is a picture with ink on it."""
     script = paper(name)

@@ -75,7 +75,7 @@ def test_heading_from_east_becomes_one_from_north() -> None:
     np.testing.assert_allclose(record.output("psi"), s["psi"], atol=0.02)
 
 
-@pytest.mark.parametrize("count", [3, *slow(10)])
+@pytest.mark.parametrize("count", [2, *slow(10)])
 def test_foreign_logs_are_read_or_asked(tmp_path: Path, count: int) -> None:
     """Of logs of the examination with seeds of their own little is wrong, most is right."""
     verdicts = []

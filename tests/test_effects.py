@@ -103,7 +103,7 @@ CONTRACTS = [
 ]
 
 
-@pytest.mark.parametrize("size", [{"n_times": 12, "n_points": 1}, *slow({})], ids=["short", ""])
+@pytest.mark.parametrize("size", [{"n_times": 8, "n_points": 1}, *slow({})], ids=["short", ""])
 @pytest.mark.parametrize(("vehicle", "effect", "probe", "mirror"), CONTRACTS)
 def test_effect_keeps_the_contract(
     vehicle: Callable[[], Model], effect: Effect, probe: dict, mirror: tuple[str, ...], size: dict
@@ -158,6 +158,8 @@ def test_contract_finds_fault(effect: Effect, complaint: str) -> None:
             initial=vehicles.DIVING_START,
             inputs=vehicles.DIVING_INPUTS,
             mirror=vehicles.DIVING_MIRROR,
+            n_times=8,
+            n_points=1,
         )
 
 

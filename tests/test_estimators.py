@@ -69,8 +69,10 @@ CASES = [
         (baselines.DifferentialEvolution(n_particles=30, n_generations=80), 1e-3, 0.85, 12),
         (baselines.CovarianceMatrixAdaptation(n_generations=120), 1e-3, 0.85, 12),
     ),
-    (baselines.DifferentialEvolution(n_particles=30, n_generations=80), 1e-3, None, 0),
-    (baselines.CovarianceMatrixAdaptation(n_generations=120), 1e-3, None, 0),
+    *slow(
+        (baselines.DifferentialEvolution(n_particles=30, n_generations=80), 1e-3, None, 0),
+        (baselines.CovarianceMatrixAdaptation(n_generations=120), 1e-3, None, 0),
+    ),
     (baselines.ParticleSwarm(n_particles=30, n_generations=80), 1e-2, None, 0),
 ]
 
@@ -104,7 +106,7 @@ class Shifted:
 
     def fit(self, model: Model, dataset: object) -> Fit:
         """Fit well, then spoil it."""
-        fit = MultipleShooting().fit(model, dataset)  # type: ignore[arg-type]
+        fit = MultipleShooting(disturbances="none").fit(model, dataset)  # type: ignore[arg-type]
         if self.fault == "value":
             return replace(fit, estimates=1.01 * fit.estimates)
         if self.fault == "errors":

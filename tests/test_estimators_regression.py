@@ -498,12 +498,11 @@ def sailed(seed: int, waves: float = 1.0, noise: float = 1.0, length: float = 60
     omega = 2 * np.pi / 8.0 * (1 + 0.1 * rng.standard_normal(60))
     phase = rng.uniform(0, 2 * np.pi, (2, 60))
     h = SAMPLING / fine
-    t = np.arange(n * fine) * h
-    lift = np.array([0.06, 0.0025]) * waves
-    force = [
-        lift[i] * np.sqrt(2 / 60) * np.cos(np.outer(t, omega) + phase[i]).sum(axis=1)
-        for i in (0, 1)
-    ]
+    lift = np.array([0.06, 0.0025]) * waves * np.sqrt(2 / 60)
+    # Waves at samples times how far they turn from there on: sums of sines at every step.
+    within = np.exp(1j * np.outer(omega, np.arange(fine) * h))
+    begun = np.exp(1j * (np.outer(np.arange(n) * SAMPLING, omega) + phase[:, None]))
+    force = lift[:, None] * (begun @ within).real.reshape(2, -1)
     v = r = 0.0
     found = np.empty((n, 2))
     k = TRUTH

@@ -194,6 +194,7 @@ def test_a_swarm_converges_faster(
     assert lowest(better) < share * lowest(worse)
 
 
+@pytest.mark.slow
 def test_noise_of_a_measured_start_is_in_the_errors() -> None:
     """A start taken from noisy measurements widens the stated errors."""
     known = DifferentialSwarm(n_generations=60, initial={"psi": 0.0, "r": 0.0})

@@ -600,7 +600,8 @@ def test_an_exact_input_is_no_noise_however_rough() -> None:
         assert "input_noise" not in kinds(fit)
 
 
-@pytest.mark.parametrize("number", [0, *slow(1)])
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [0, 1])
 def test_a_helmsmans_white_rudder_is_no_noise_of_the_log(number: int) -> None:
     """What he answers to a noisy heading moves the ship: outputs ask for no noise of the log."""
     scenario = SCENARIOS["ship_helm_white"]
@@ -795,6 +796,7 @@ def test_a_failed_fit_with_process_noise_gives_way(monkeypatch: pytest.MonkeyPat
     assert MultipleShooting(disturbances="all").fit(SHIP, data).status.code == "stalled"
 
 
+@pytest.mark.slow
 def test_an_unstable_vehicle_gets_a_status() -> None:
     """Moved filters that overflow along 200 s of an unstable vehicle end in a status, advised."""
     law = {"theta": "q", "q": "a*theta - c*q + b*ds"}
@@ -905,23 +907,23 @@ def test_command_line_says_what_is_not_usable(
     assert "Not usable: A constant explains" in out
 
 
+@pytest.mark.parametrize(
+    "line", ["fit kvlcc2 run_1.csv", *slow("compare kvlcc2 --train run_1.csv --test run_2.csv")]
+)
 def test_suspect_log_stands_above_the_fit(
-    zigzag: Record, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    line: str, zigzag: Record, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
     """`fit` and `compare` name swapped columns above their result, and return 4."""
-    swapped = replace(noisy(zigzag), outputs=noisy(zigzag).outputs[:, ::-1])
-    write_csv(swapped, tmp_path / "swapped.csv")
-    other = replace(noisy(zigzag, 2), outputs=noisy(zigzag, 2).outputs[:, ::-1])
-    write_csv(other, tmp_path / "other.csv")
-    read = read_csv(tmp_path / "swapped.csv", PROBLEM.channels)
-    assert read[0].n_samples == len(zigzag.times)
-    assert main(["fit", "kvlcc2", str(tmp_path / "swapped.csv")]) == SUSPECT
-    out = capsys.readouterr().out
-    assert out.startswith("Log suspect: ")
-    assert "swap" in out.splitlines()[0]
-    train, test = str(tmp_path / "swapped.csv"), str(tmp_path / "other.csv")
-    assert main(["compare", "kvlcc2", "--train", train, "--test", test]) == SUSPECT
-    assert capsys.readouterr().out.startswith("Log suspect: ")
+    monkeypatch.chdir(tmp_path)
+    for seed in (1, 2):
+        swapped = noisy(zigzag, seed).outputs[:, ::-1]
+        write_csv(replace(zigzag, outputs=swapped), f"run_{seed}.csv")
+    assert read_csv("run_1.csv", PROBLEM.channels)[0].n_samples == len(zigzag.times)
+    assert main(line.split()) == SUSPECT
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.startswith("Log suspect: ")
+    assert "swap" in first
 
 
 SIZES = {"X": (12.0, "kg/m", 10.0), "K": (0.03, "1/m^2", 0.1), "N": (0.05, "1/m", 0.1)}
@@ -974,11 +976,12 @@ def test_an_unstable_vehicle_that_disturbances_carry_away_is_explained(
     assert fit.grave == ()
 
 
+@pytest.mark.slow
 def test_an_unstable_vehicle_with_the_rudder_of_another_run_is_not_explained() -> None:
     """The same runs, with a log of the rudder that is none."""
     rng = np.random.default_rng(2)
     foreign = with_inputs(
-        carried(13, (40.0, 80.0)),
+        carried(13, (40.0, 60.0, 80.0)),
         lambda one: np.column_stack([0.2 * rng.standard_normal(401), one.inputs[:, 1]]),
     )
     fit = MultipleShooting().fit(CARRIED, foreign)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from commands import told
 from motion import small
+from plain_pages import plain_pages  # noqa: F401
 from scipy.signal import lfilter
 from simple_models import NOMOTO, K, T
 

@@ -48,7 +48,7 @@ def findings(data: Dataset) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("name", ["nothing", *SPOILT[:1], *slow(*SPOILT[1:])])
+@pytest.mark.parametrize("name", [*SPOILT[:1], *slow("nothing", *SPOILT[1:])])
 def test_findings_of_the_check(name: str) -> None:
     """Kinds and signals of the findings, in good records and in spoilt copies of them."""
     data = records(AUV)
@@ -83,8 +83,8 @@ def test_claim_on_the_shipped_vehicle() -> None:
     ("name", "options"),
     [
         ("cubic damping", {}),
-        ("nothing missing", {}),
         ("process noise", {"force": 0.02}),
+        *slow(("nothing missing", {})),
     ],
 )
 def test_claim_on_a_turning_ship(name: str, options: dict[str, float]) -> None:
@@ -123,7 +123,7 @@ def test_design() -> None:
     check("design", "turning ship", kept | {"commands": commands[::5].tolist()}, FILTERED)
 
 
-QUICK = ("cascaded_tanks/torricelli", "kvlcc2", "remus_diving_plane")
+QUICK = ("kvlcc2",)
 # The torpedo's likelihood is flat: its last steps follow the rounding of the compiler's flags.
 LATER = ("sailboat", "torpedo")
 
@@ -171,6 +171,10 @@ LINES = {
 }
 
 
+# What takes seconds, and is read by the tests of these commands as well.
+LONG = ("report", "import", "watch", "benchmark missing-physics")
+
+
 @pytest.fixture(name="place", scope="module")
 def _place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a starter problem, its records, and a log of its own kind."""
@@ -188,7 +192,7 @@ def _place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=pytest.mark.slow if "missing-physics" in n else ()) for n in LINES],
+    [pytest.param(n, marks=pytest.mark.slow if n in LONG else ()) for n in LINES],
 )
 def test_json_of(name: str, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Exit status, keys and types of one command."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from altered import overwritten
+from marks import slow
 from scipy.optimize import least_squares, lsq_linear
 from steered_ship import YAW, two
 from test_shooting import LAG, diving_data
@@ -499,7 +500,7 @@ def test_memory_and_substeps() -> None:
         assert fit.values[name] == pytest.approx(model.values[name], rel=1e-4)
 
 
-@pytest.mark.parametrize("loss", ["huber", "student"])
+@pytest.mark.parametrize("loss", ["student", *slow("huber")])
 def test_robust_losses(loss: str) -> None:
     """Robust losses have the same optimum in both solvers."""
     data = yaw_data(2)
@@ -680,6 +681,7 @@ def test_an_equation_beside_process_noise_is_one_parameter_less() -> None:
     assert [one.text for one in tied.binding] == ["K == 0.1*T"]
 
 
+@pytest.mark.slow
 def test_a_path_beside_process_noise_is_kept_within_its_limit() -> None:
     """Yaw rates of undisturbed runs are nowhere beyond, and the moment is named."""
     data = two(4)

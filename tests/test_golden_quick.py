@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from golden_cases import EVERY, facts, fit_of, problem, records
 from golden_files import check
+from marks import slow
 
 import oed_sysid
 from oed_sysid import Fit, rank_parameters
@@ -27,14 +28,18 @@ SUBJECTS = (
     "baselines.benchmark",
 )
 
+# The two whose kernels and fits are the largest wait for `make test-slow`.
+LARGE = ("remus_6dof", "esso_osaka")
+NAMES = [*(one for one in EVERY if one not in LARGE), *slow(*LARGE)]
 
-@pytest.mark.parametrize("name", EVERY)
+
+@pytest.mark.parametrize("name", NAMES)
 def test_fit_without_process_noise(name: str) -> None:
     """Values, errors, noise, status and concerns of the fit of each shipped problem."""
     check("white", name, facts(fit_of(name)))
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", NAMES)
 def test_ranking(name: str) -> None:
     """Order and bounds of the parameters on the same records."""
     model, noise = problem(name).model, fit_of(name).sigma

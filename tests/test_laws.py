@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import slow
 from motion import small
 from steered_ship import LEVEL, NOISE, PERIOD, TIME, WIDTH, YAW, Share, nothing, sailed
 
@@ -32,7 +33,7 @@ def asked(seed: int, answer: float, law: Share) -> tuple[Law, ...]:
     return found
 
 
-@pytest.mark.parametrize("answer", [0.0, 0.3])
+@pytest.mark.parametrize("answer", [0.3, *slow(0.0)])
 def test_the_statistic_of_a_true_disturbance_is_chi_squared(
     answer: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -88,6 +89,7 @@ ADRIFT = Model(
 DRIFTS = tuple(f"force v{i}" for i in range(3))
 
 
+@pytest.mark.slow
 def test_motion_that_wanders_makes_no_law(monkeypatch: pytest.MonkeyPatch) -> None:
     """Positions without springs make the statistic a third too large; what is drawn tells that."""
     monkeypatch.setattr(laws_module, "RARE", 3.0)  # one for each of three places
@@ -112,7 +114,7 @@ def test_motion_that_wanders_makes_no_law(monkeypatch: pytest.MonkeyPatch) -> No
     ("law", "signal"),
     [
         (lambda command, into: 0.045 * (abs(command) - 0.5), "u"),
-        (lambda command, into: 0.04 * (into >= 0.5), f"{IN_THE_RUN}, a step at 59.8 s"),
+        *slow((lambda command, into: 0.04 * (into >= 0.5), f"{IN_THE_RUN}, a step at 59.8 s")),
     ],
 )
 def test_a_law_of_one_signal_is_not_lost_among_many(
@@ -137,7 +139,7 @@ def test_a_law_of_one_signal_is_not_lost_among_many(
     assert not told(adrift(1))
 
 
-@pytest.mark.parametrize("answer", [0.0, 0.3])
+@pytest.mark.parametrize("answer", [0.3, *slow(0.0)])
 @pytest.mark.parametrize(
     ("law", "signal"),
     [
@@ -155,7 +157,7 @@ def test_a_law_is_found_by_its_signal(law: Share, signal: str, answer: float) ->
         assert found.statistic > found.needed
 
 
-@pytest.mark.parametrize("shape", ["velocity", "displacement"])
+@pytest.mark.parametrize("shape", ["displacement", *slow("velocity")])
 def test_a_law_is_told_from_a_sea(shape: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The score of a true sea of either shape is that of chance; a wall beside one is found."""
 
@@ -250,7 +252,7 @@ def test_what_fades_follows_the_time_in_the_run() -> None:
     assert not calm.whole_runs.follows
 
 
-@pytest.mark.parametrize("seed", [0, 10])
+@pytest.mark.parametrize("seed", [0, *slow(10)])
 def test_what_fails_for_some_time_follows_the_time_in_the_run(seed: int) -> None:
     """A command ahead and astern that does nothing for a tenth of each run is no disturbance."""
     runs = Dataset(ferry(seed + k, failing, -1.0) for k in (1, 2))

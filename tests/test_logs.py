@@ -491,7 +491,7 @@ def opened_here(path: Path) -> Log:
         ("import os; os.abort()", r"crashed \(SIGABRT\)"),
         ("import os; os._exit(3)", "ended with 3"),
         ("raise ValueError('torn')", r"ended with 1 \(ValueError: torn\)"),
-        ("serve(lambda path: forever())", "did not end after 3 s"),
+        ("serve(lambda path: forever())", "did not end after 2 s"),
         ("serve(lambda path: bytearray(2**45))", "more memory than a log"),
         ("serve(lambda path: [1][2])", r"\(list index out of range\)"),
         ("serve(lambda path: bytes([65, 255]).decode())", "at byte 1"),
@@ -510,7 +510,7 @@ def test_whatever_a_parser_does_is_a_sentence(
         "    apart.serve(lambda p: apart.guarded(read, p, 'a log', 'Help.'), place, target)\n"
     )
     monkeypatch.setattr(apart, "_CHILD", prelude * child.startswith("serve") + child)
-    monkeypatch.setattr(apart, "SECONDS", 3.0)
+    monkeypatch.setattr(apart, "SECONDS", 2.0)
     monkeypatch.setattr(apart, "PATIENCE", 60.0)  # the limit is of computing
     file = tmp_path / "run.ulg"
     file.write_bytes(b"ULog")

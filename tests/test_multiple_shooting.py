@@ -12,6 +12,7 @@ import pytest
 from altered import overwritten, with_outputs
 from marks import slow
 from motion import small
+from plain_pages import plain_pages  # noqa: F401
 from scipy.optimize import least_squares
 from test_shooting import diving_data
 from vehicles import remus
@@ -344,8 +345,13 @@ def test_diverging_model_is_a_status_that_advises() -> None:
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("steep", [1e152, *slow(1e160), 1e300])
-@pytest.mark.parametrize("disturbances", ["none", "auto"])
+@pytest.mark.parametrize(
+    ("steep", "disturbances"),
+    [
+        (1e152, "auto"), (1e300, "none"),
+        *slow((1e152, "none"), (1e160, "none"), (1e160, "auto"), (1e300, "auto")),
+    ],
+)  # fmt: skip
 def test_a_fit_with_derivatives_beyond_numbers_still_answers(
     steep: float, disturbances: str, tmp_path: Path
 ) -> None:

@@ -265,7 +265,8 @@ def depth_held(name: str, rng: np.random.Generator, model: Model) -> Record:
     return Record(name, times, np.array(fins)[:, None], outputs, model.channels)
 
 
-@pytest.mark.parametrize("seed", [101, *slow(104, 125)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [101, 104, 125])
 def test_a_fit_without_process_noise_does_not_lead_astray(seed: int) -> None:
     """Bent by gusts that were taken for noise its values lie in another valley, 60 errors off."""
     rng = np.random.default_rng(seed)
@@ -467,7 +468,7 @@ def test_unknown_names_are_refused(data: Dataset) -> None:
         unknown_series(fit, "unknown_input_rudder")
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *slow(1, 2)])
 def test_noise_declared_three_times_too_small_is_found(seed: int) -> None:
     """No force that follows every wiggle, no parameter that follows the force."""
     outputs = tuple(replace(one, noise_std=one.noise_std / 3.0) for one in SHIP.outputs)

@@ -235,7 +235,7 @@ def wall(r: float, psi: float, lagged: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("law", "kind"), [(wall, "structure missing"), (steered_ship.nothing, "disturbance")]
+    ("law", "kind"), [(wall, "structure missing"), *slow((steered_ship.nothing, "disturbance"))]
 )
 def test_a_wall_is_no_sea(law: steered_ship.Share, kind: str) -> None:
     """A force that no term holds is said to follow the heading; a disturbance stays one."""

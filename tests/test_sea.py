@@ -268,7 +268,8 @@ def test_a_sea_of_fourth_order_is_nearest_to_the_spectrum_of_a_sea() -> None:
     assert off["jonswap"] < 0.6 * min(off["velocity"], off["displacement"])
 
 
-@pytest.mark.parametrize("force", ["waves", *slow("gusts")])
+@pytest.mark.slow
+@pytest.mark.parametrize("force", ["waves", "gusts"])
 def test_improve_finds_a_sea_itself(force: str) -> None:
     """Waves are claimed as any effect is, and no term in their place; gusts are none."""
     kick = Force("kick", {"r": "k_kick*abs(r)*r"}, (Parameter("k_kick", 0.0, "1", scale=1.0),))
@@ -481,7 +482,8 @@ def test_a_swell_that_is_no_sea_is_named_and_its_errors_are_wider(
     assert np.sqrt(np.mean(np.square(ours))) < 0.95 * np.sqrt(np.mean(np.square(bound)))
 
 
-@pytest.mark.parametrize("number", [0, *slow(1, 2, 3)])
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [0, 1, 2, 3])
 def test_forces_without_a_period_are_not_named(number: int) -> None:
     """First-order Gauss-Markov forces: no swing, and errors are the bound's."""
     for fit, _ in fits("medium", range(number, number + 1)):

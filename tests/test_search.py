@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from marks import slow
 from motion import small
 from scipy.linalg import expm
 
@@ -132,7 +133,7 @@ def gusty(seed: int) -> tuple[Dataset, list[tuple[Study, FilteredSolution]]]:
     return data, [begin(disturbances=where) for where in ("auto", "none")]
 
 
-@pytest.mark.parametrize(("seed", "better"), [(3, 1.1), (4, 2.0)])
+@pytest.mark.parametrize(("seed", "better"), [(4, 2.0), *slow((3, 1.1))])
 def test_forces_are_not_left_out_for_nothing(
     seed: int, better: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -200,6 +201,7 @@ def rolls(seed: int, level: float) -> Dataset:
     return Dataset(found)
 
 
+@pytest.mark.slow
 def test_a_swell_is_found_that_the_noise_of_a_sensor_had_taken() -> None:
     """It moves the ship about as much as the inclinometer's noise, which is free to grow."""
     data = rolls(1, 0.0008)
@@ -335,6 +337,7 @@ def improved_carriage(resistance: Callable[[float], float]) -> Improvement:
     return improve(CARRIAGE, Dataset((first, second)), Dataset((last,)), candidates=[drag])
 
 
+@pytest.mark.slow
 def test_usual_physics_is_asked_before_a_polynomial() -> None:
     """Dry friction of 1.5 N that sets in within 0.02 m/s."""
     found = improved_carriage(lambda v: 1.5 * np.tanh(v / 0.02))
@@ -428,7 +431,7 @@ SWING = small(
 )
 
 
-@pytest.mark.parametrize("error", [1.76, 3.0])
+@pytest.mark.parametrize("error", [1.76, *slow(3.0)])
 def test_a_velocity_far_off_is_no_force(error: float) -> None:
     """By two and four times its motion: forces that followed it left models that diverge."""
     runs = []

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import slow
 from walk_logs import WRITERS, Trial
 
 from oed_sysid import Fit, load_problem, new_problem, read_csv
@@ -44,7 +45,7 @@ def test_there_are_four_kinds() -> None:
     assert sorted(WRITERS) == PAGES
 
 
-@pytest.mark.parametrize("kind", PAGES)
+@pytest.mark.parametrize("kind", ["ship", "torpedo", "usv", *slow("auv")])
 def test_logs_become_the_records_that_they_were(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

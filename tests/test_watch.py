@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from commands import told
 from log_writers import sentence
+from plain_pages import plain_pages  # noqa: F401
 
 from oed_sysid import Channels, Input, Output, Record, load_problem, read_csv, simulate
 from oed_sysid.data.live import Place, samples

@@ -542,7 +542,7 @@ def diagnose(
     --------
     >>> from oed_sysid import load_problem
     >>> problem = load_problem("remus_diving_plane")
-    >>> train = Dataset((problem.data()["train_steps"],))
+    >>> train = Dataset((problem.data()["train_steps"].window(0.0, 30.0),))
     >>> found = diagnose(problem.model, train, candidates=problem.effects[:3])
     >>> found.location.best, found.ranking.order[0]
     ('force Z', 'heave_crossflow_drag')

@@ -103,8 +103,8 @@ def improve(
     --------
     >>> from oed_sysid import Dataset, load_problem
     >>> problem = load_problem("remus_diving_plane")
-    >>> train, test = (Dataset((problem.data()[run],)) for run in ("train_steps", "test_steps"))
-    >>> found = improve(problem.model, train, test, candidates=problem.effects[:3], max_effects=1)
+    >>> train = Dataset((problem.data()["train_steps"].window(0.0, 30.0),))
+    >>> found = improve(problem.model, train, candidates=problem.effects[:3], terms=False)
     >>> [step.added for step in found.steps]
     ['heave_crossflow_drag']
     """
