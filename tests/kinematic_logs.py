@@ -109,11 +109,12 @@ class Fault:
 
 
 def log(
-    vehicle: Vehicle, *faults: Fault, seed: int | tuple[int, ...] = 0, colour: float = 0.0
-) -> Dataset:
+    vehicle: Vehicle, *faults: Fault, seed: int | tuple[int, ...] = 0, colour: float = 0.0,
+    runs: int = 3,
+) -> Dataset:  # fmt: skip
     """Return what would have been logged: faults, sampling, noise with correlation ``colour``.
 
-    One record for each speed, of motions that are random.
+    The first of three records, one for each speed, of motions that are random.
     """
     rng = np.random.default_rng(seed)
     n = round(vehicle.duration / vehicle.step) * FINE + 1
@@ -132,17 +133,7 @@ def log(
         matrix = np.column_stack(columns)[rows]
         inputs = np.zeros((matrix.shape[0], 1))
         records.append(Record(f"run_{number}", times[rows], inputs, matrix, vehicle.model.channels))
-    return Dataset(records)
-
-
-def pair(vehicle: Vehicle, *faults: Fault) -> Dataset:
-    """Return the first two records of a log."""
-    return Dataset(log(vehicle, *faults).records[:2])
-
-
-def one_run(vehicle: Vehicle, *faults: Fault) -> Dataset:
-    """Return the first record of a log."""
-    return Dataset(log(vehicle, *faults).records[:1])
+    return Dataset(records[:runs])
 
 
 def match(found: LogCheck, fault: Fault):  # type: ignore[no-untyped-def]

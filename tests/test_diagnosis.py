@@ -182,24 +182,21 @@ HIDDEN_IN = {
 
 
 @cache
-def simulated() -> dict[str, Dataset]:
+def simulated() -> dict[str, list]:
     """Steps and a zigzag of vehicles with hidden effects, derivatives drawn, all side by side."""
     cases = [
         Case(name, true_derivatives(np.random.default_rng(seed)), hidden, seed=seed)
         for name, (seed, hidden) in HIDDEN_IN.items()
     ]
-    found = {}
-    for name, runs in zip(HIDDEN_IN, simulate(cases, TRAIN[:2]), strict=True):
-        found[name] = Dataset(
-            Record(run.name, one.times, one.inputs, one.outputs, PROBLEM.channels)
-            for run, one in zip(TRAIN, runs, strict=False)
-        )
-    return found
+    return dict(zip(HIDDEN_IN, simulate(cases, TRAIN[:2]), strict=True))
 
 
 def records(name: str, duration: float = 40.0) -> Dataset:
     """The beginning of what was simulated."""
-    return Dataset(record.window(0.0, duration) for record in simulated()[name])
+    return Dataset(
+        Record(run.name, one.times, one.inputs, one.outputs, PROBLEM.channels).window(0.0, duration)
+        for run, one in zip(TRAIN, simulated()[name], strict=False)
+    )
 
 
 def begun(train):  # type: ignore[no-untyped-def]

@@ -345,13 +345,8 @@ def test_diverging_model_is_a_status_that_advises() -> None:
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(
-    ("steep", "disturbances"),
-    [
-        (1e152, "auto"), (1e300, "none"),
-        *slow((1e152, "none"), (1e160, "none"), (1e160, "auto"), (1e300, "auto")),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("steep", [1e152, *slow(1e160, 1e300)])
+@pytest.mark.parametrize("disturbances", ["auto", *slow("none")])
 def test_a_fit_with_derivatives_beyond_numbers_still_answers(
     steep: float, disturbances: str, tmp_path: Path
 ) -> None:

@@ -67,8 +67,7 @@ def test_sizes_are_those_of_the_records() -> None:
     ("name", "size"),
     [
         ("roll_decay", {"n_times": 12}),
-        *slow(*((name, {}) for name in ("roll_decay", "cascaded_tanks", "kvlcc2"))),
-        *slow(("remus_diving_plane", {})),
+        *slow(*((n, {}) for n in ("roll_decay", "cascaded_tanks", "kvlcc2", "remus_diving_plane"))),
     ],
 )
 def test_each_keeps_the_contract_of_effects(name: str, size: dict[str, int]) -> None:
