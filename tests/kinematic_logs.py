@@ -75,11 +75,7 @@ DIVER = Vehicle(
 )
 
 SHIP = Vehicle(
-    ship(),
-    _ship,
-    {"u": 0.03, "v": 0.03, "r": 0.002, "psi": 0.004, "x": 0.1, "y": 0.1},
-    0.25,
-    225.0,
+    ship(), _ship, {"u": 0.03, "v": 0.03, "r": 0.002, "psi": 0.004, "x": 0.1, "y": 0.1}, 0.25, 225.0
 )
 
 VEHICLES = (DIVER, SHIP)

@@ -29,10 +29,7 @@ def test_a_candidate_is_what_is_hidden(kind: str) -> None:
     model = strangers.nominal(truth, values, np.ones(len(level))) + effect
     model = model.with_values({effect.parameters[0].name: size})
     run = simulate_inputs(
-        model,
-        truth.times,
-        inputs=inputs,
-        initial=dict.fromkeys(model.state_names, 0.0),
+        model, truth.times, inputs=inputs, initial=dict.fromkeys(model.state_names, 0.0)
     )
     assert np.max(np.abs(hidden - plain) / level) > 0.02
     assert np.max(np.abs(run.outputs - hidden) / level) < 0.01

@@ -118,10 +118,7 @@ STREAM, STILL = (0.3, -0.4, 0.05), (0.0, 0.0, 0.0)
 
 @pytest.mark.parametrize(
     ("attitude", "current"),
-    [
-        ("quaternion", STREAM),
-        *slow(("euler", STILL), ("euler", STREAM), ("quaternion", STILL)),
-    ],
+    [("quaternion", STREAM), *slow(("euler", STILL), ("euler", STREAM), ("quaternion", STILL))],
 )
 def test_trajectory_of_the_independent_simulator(attitude: str, current: tuple) -> None:
     """Six degrees of freedom, with restoring and current, agree to 1e-8."""
@@ -226,11 +223,7 @@ def test_a_floating_hull_without_heave_has_no_depth() -> None:
 @pytest.mark.slow
 def test_fewer_degrees_of_freedom_are_the_plane_motion_of_more() -> None:
     """A symmetric body that moves in the plane follows the six-degree equations."""
-    facts = {
-        "mass": 30.0,
-        "inertia": (0.4, 3.6, 3.4),
-        "centre_of_gravity": (0.03, 0.0, 0.0),
-    }
+    facts = {"mass": 30.0, "inertia": (0.4, 3.6, 3.4), "centre_of_gravity": (0.03, 0.0, 0.0)}
     plane = {"X_udot": -1.0, "Y_vdot": -32.0, "Y_rdot": 1.9, "N_rdot": -5.0}
     start = {"u": 1.4, "v": 0.2, "r": 0.3}
     six = run(model_of(rigid_body(6, added_mass=plane, **facts)), start, TIMES)
@@ -254,12 +247,7 @@ def test_thruster_and_fin_by_vectors() -> None:
     fin = parts.fin("canted", "0.1*T", at=tuple(place), normal=tuple(n), lift=5.0, drag=2.0)
     arm = Parameter("arm_pod", 0.02, "m")
     push = parts.thruster(
-        "pod",
-        "T",
-        at=tuple(place),
-        direction=(0.8, 0.6, 0),
-        torque="arm_pod*T",
-        parameters=(arm,),
+        "pod", "T", at=tuple(place), direction=(0.8, 0.6, 0), torque="arm_pod*T", parameters=(arm,)
     )
     thrust, flow, omega = 7.0, VELOCITY[:3], VELOCITY[3:]
     local = flow + np.cross(omega, place)

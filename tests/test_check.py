@@ -897,8 +897,7 @@ def lagging(t: np.ndarray, y: np.ndarray, k: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("kind", "act"),
-    [("lag", lagging), *slow(("delay", lambda t, y, k: np.interp(t - 0.5, t, y)))],
+    ("kind", "act"), [("lag", lagging), *slow(("delay", lambda t, y, k: np.interp(t - 0.5, t, y)))]
 )
 def test_a_command_in_place_of_the_feedback_is_a_lag(kind: str, act) -> None:  # type: ignore[no-untyped-def]
     """What lags by half a second in first order is told from what comes late by as much."""

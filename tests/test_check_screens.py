@@ -294,10 +294,7 @@ def test_motion_is_no_jump() -> None:
 
 @pytest.mark.parametrize(
     ("vehicle", "signal", "size", "unit"),
-    [
-        (SHIP, "psi", np.pi / 2.0, "rad"),
-        *slow((SHIP, "r", -0.1, "rad/s"), (DIVER, "z", 2.0, "m")),
-    ],
+    [(SHIP, "psi", np.pi / 2.0, "rad"), *slow((SHIP, "r", -0.1, "rad/s"), (DIVER, "z", 2.0, "m"))],
 )
 def test_a_jump_is_the_only_finding_and_is_undone(
     vehicle: Vehicle, signal: str, size: float, unit: str
@@ -441,9 +438,7 @@ def _wandered() -> tuple[Dataset, LogCheck]:
     return spoilt, check(spoilt, SHIP.model, inputs=False)
 
 
-def test_the_equation_the_record_and_the_time_are_named(
-    wandered: tuple[Dataset, LogCheck],
-) -> None:
+def test_the_equation_the_record_and_the_time_are_named(wandered: tuple[Dataset, LogCheck]) -> None:
     """A rate of another record is no sign, unit or size: the heading stays unexplained there."""
     data, found = wandered
     one = found.named("unexplained", "psi")

@@ -146,11 +146,7 @@ def test_several_experiments_after_one_option(ferry: Path, tmp_path: Path, capsy
     """--experiment takes one name or many, and all by default."""
     one, both, every = (
         told(tmp_path, ["rank", ferry, *given])["ranking"]
-        for given in (
-            ["--experiment", "zigzag_10"],
-            ["--experiment", "zigzag_10", "zigzag_20"],
-            [],
-        )
+        for given in (["--experiment", "zigzag_10"], ["--experiment", "zigzag_10", "zigzag_20"], [])
     )
     assert both["runs"] == ["zigzag_10", "zigzag_20"]
     assert every == both

@@ -86,8 +86,7 @@ def test_speed_distance_depth_and_return_are_kept_together() -> None:
     """An AUV loses little speed, stays in its box and comes back to its depth and trim."""
     problem = load_problem("auv_diving_plane")
     limits = replace(
-        problem.limits,
-        signals={"u": (1.30, np.inf), "x": (-np.inf, 56.0), "z": (98.0, 102.0)},
+        problem.limits, signals={"u": (1.30, np.inf), "x": (-np.inf, 56.0), "z": (98.0, 102.0)}
     )
     end = {"z": (99.8, 100.2), "theta": (-0.02, 0.02)}
     found = design_experiment(
@@ -262,10 +261,7 @@ def test_waived_vehicles_do_not_count() -> None:
 
 def test_closed_loop_keeps_limits_on_other_vehicles() -> None:
     """A cautious zigzag closes its loop on each vehicle and keeps the heading there."""
-    found = quick(
-        family=ZigZags("psi"),
-        caution=replace(CAUTION, n_sets=20, n_checks=40),
-    )
+    found = quick(family=ZigZags("psi"), caution=replace(CAUTION, n_sets=20, n_checks=40))
     assert found.experiment.reacts
     assert found.assurance.probability >= 0.9
     again = assess_limits(

@@ -715,10 +715,7 @@ def test_a_row_repeats_its_texts_for_signals_alike() -> None:
 
 @pytest.mark.parametrize(
     ("text", "grows"),
-    [
-        ("-E*abs(q)", "the size of pitch rate"),
-        ("-E*q*abs(q)", "the square of pitch rate"),
-    ],
+    [("-E*abs(q)", "the size of pitch rate"), ("-E*q*abs(q)", "the square of pitch rate")],
 )
 def test_a_force_by_the_size_of_a_signal_is_said_so(text: str, grows: str) -> None:
     """It does not change its sign with the signal, which a reader has to know."""

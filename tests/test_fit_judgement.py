@@ -735,10 +735,7 @@ def test_spikes_beside_process_noise(size: float, length: int, least: float) -> 
 
 @pytest.mark.parametrize(
     "turned",
-    [
-        np.sin(np.pi * np.clip(np.arange(-200, 100) / 20.0, 0.0, 1.0)),
-        np.arange(300) >= 200,
-    ],
+    [np.sin(np.pi * np.clip(np.arange(-200, 100) / 20.0, 0.0, 1.0)), np.arange(300) >= 200],
     ids=["there and back", "stays"],
 )
 def test_a_motion_that_jumps_is_no_spike(turned: np.ndarray) -> None:

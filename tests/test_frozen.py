@@ -81,11 +81,7 @@ def test_claim_on_the_shipped_vehicle() -> None:
 
 @pytest.mark.parametrize(
     ("name", "options"),
-    [
-        ("cubic damping", {}),
-        ("process noise", {"force": 0.02}),
-        *slow(("nothing missing", {})),
-    ],
+    [("cubic damping", {}), ("process noise", {"force": 0.02}), *slow(("nothing missing", {}))],
 )
 def test_claim_on_a_turning_ship(name: str, options: dict[str, float]) -> None:
     """What a ship lacks whose truth is known."""
@@ -191,8 +187,7 @@ def _place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=pytest.mark.slow if n in LONG else ()) for n in LINES],
+    "name", [pytest.param(n, marks=pytest.mark.slow if n in LONG else ()) for n in LINES]
 )
 def test_json_of(name: str, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Exit status, keys and types of one command."""

@@ -667,9 +667,7 @@ def test_an_equation_beside_process_noise_is_one_parameter_less() -> None:
     data = two(4)
     tied = MultipleShooting(solver=Solver("ipopt", constraints=("K == 0.1*T",))).fit(YAW, data)
     solved = replace(
-        YAW,
-        kinematics={"r": "(0.1*T*delta - r)/T", "psi": "r"},
-        parameters=(YAW.parameter("T"),),
+        YAW, kinematics={"r": "(0.1*T*delta - r)/T", "psi": "r"}, parameters=(YAW.parameter("T"),)
     )
     own = MultipleShooting().fit(solved, data)
     assert tied.noise.has_forces

@@ -63,10 +63,7 @@ def test_ranking(name: str) -> None:
 
 @pytest.mark.parametrize(
     "file",
-    [
-        *(HERE / "saved").glob("fit_format*.json"),
-        HERE / "saved_fits" / "nomoto_format_1.json",
-    ],
+    [*(HERE / "saved").glob("fit_format*.json"), HERE / "saved_fits" / "nomoto_format_1.json"],
     ids=lambda file: file.stem,
 )
 def test_saved_fit(file: Path) -> None:

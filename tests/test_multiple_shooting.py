@@ -269,10 +269,7 @@ def test_unobservable_states_do_not_disturb_the_covariance() -> None:
     outputs[:, -1] = np.nan
     silent = Dataset((data.with_outputs(outputs),))
     without = replace(
-        model,
-        states=model.states[:4],
-        outputs=model.outputs[:4],
-        kinematics={"theta": "q"},
+        model, states=model.states[:4], outputs=model.outputs[:4], kinematics={"theta": "q"}
     )
     smaller = Dataset(
         (replace(data, outputs=outputs[:, :4], channels=without.channels, missing_outputs=()),)

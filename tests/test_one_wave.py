@@ -30,12 +30,7 @@ HEADINGS = {
     "following": (np.array([0.03, 0.07]), -1.8, lambda w: w - 2.5 * w**2 / 9.81),
 }
 UNITS = ("1/s", "1/s^2", "1/s^2")
-RATES = {
-    "phi": "p",
-    "theta": "q",
-    "p": "-Kp*p - Kb*phi + Kd*da",
-    "q": "-Mq*q - Mb*theta + Md*de",
-}
+RATES = {"phi": "p", "theta": "q", "p": "-Kp*p - Kb*phi + Kd*da", "q": "-Mq*q - Mb*theta + Md*de"}
 NOISE = {"p": 4e-3, "q": 4e-3, "phi": 3e-3, "theta": 3e-3}
 MODEL = small(
     "rolls and pitches",

@@ -160,10 +160,7 @@ def test_ship_is_unstable_on_course() -> None:
     values = TANKER.model.values
     sway, yaw = values["inertia_Yv"], values["inertia_Nr"]
     matrix = np.array(
-        [
-            [values["Y_v"] / sway, values["Y_r"] / sway],
-            [values["N_v"] / yaw, values["N_r"] / yaw],
-        ]
+        [[values["Y_v"] / sway, values["Y_r"] / sway], [values["N_v"] / yaw, values["N_r"] / yaw]]
     )
     assert matrix == pytest.approx(np.array([[-0.5965, -0.3723], [-3.6607, -1.875]]), abs=1e-4)
     assert np.linalg.det(matrix) == pytest.approx(-0.2443, abs=1e-4)

@@ -215,8 +215,7 @@ def test_a_declared_period_is_held_and_the_rest_estimated() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [{"period": -1.0}, {"bandwidth": 3.0}, {"levels": {"Z": -1.0}}, {"shape": "square"}],
+    "wrong", [{"period": -1.0}, {"bandwidth": 3.0}, {"levels": {"Z": -1.0}}, {"shape": "square"}]
 )
 def test_impossible_seas_are_refused(wrong: dict) -> None:
     """Errors name what is wrong."""

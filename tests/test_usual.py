@@ -344,11 +344,7 @@ TRUE = {"K": 0.05, "n": 1.0, "n3": 400.0, "b": 0.02, "d0": 0.01, "U": 5.0}
 SHIP_WAY = small(
     "drifting",
     "psi [rad], r [rad/s], v [m/s] <- rudder [rad]",
-    {
-        "psi": "r",
-        "r": "(K*(rudder + d0) - n*r - n3*r**3)/20",
-        "v": "b*(rudder + d0) - v/8 - 0.5*r",
-    },
+    {"psi": "r", "r": "(K*(rudder + d0) - n*r - n3*r**3)/20", "v": "b*(rudder + d0) - v/8 - 0.5*r"},
     [
         Parameter("K", 0.03, "1/s"),
         Parameter("n", 0.8, "1"),
@@ -510,11 +506,7 @@ def test_validation_tests_span_the_motions() -> None:
     assert part.train.n_samples + part.validation.n_samples == 105
     with pytest.raises(DataError):
         part.train[0].__class__(
-            "run",
-            np.arange(3.0),
-            np.zeros((3, 1)),
-            np.zeros((3, 3)),
-            ship().channels,
+            "run", np.arange(3.0), np.zeros((3, 1)), np.zeros((3, 3)), ship().channels
         ).tests(np.arange(2), "some")
 
 
