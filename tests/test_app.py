@@ -416,6 +416,7 @@ def test_job_is_done_once_and_kept(study: Study, tmp_path: Path) -> None:
     assert Desk(tmp_path).find("two", "other") is None
 
 
+@pytest.mark.slow
 def test_job_stops_at_once_and_for_nobody_else(study: Study, tmp_path: Path) -> None:
     """Stop ends the process of one study at once; the same work of another goes on."""
     desk = Desk(tmp_path)

@@ -260,6 +260,7 @@ def script(study: Study, asked: dict[str, dict]) -> str:
     return whole(study, [part_of(TASKS[name], study, options) for name, options in asked.items()])
 
 
+@pytest.mark.slow
 def test_script_repeats_the_study(study: Study, outcome: Outcome, tmp_path: Path) -> None:
     """The script runs beside the records and finds the same estimates."""
     takeaway.write_records(study, tmp_path)

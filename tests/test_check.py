@@ -239,9 +239,11 @@ def test_sensor_effect_of_the_model_is_no_alarm() -> None:
 
 
 LOCAL = [
-    *slow(("bias", "q", -0.01, lambda y, t: y - 0.01)),
     ("step", "q", 0.012, lambda y, t: y + 0.012 * (t >= 0.4)),
-    ("drift", "q", 0.03 / 87.0, lambda y, t: y + 0.03 * t),
+    *slow(
+        ("bias", "q", -0.01, lambda y, t: y - 0.01),
+        ("drift", "q", 0.03 / 87.0, lambda y, t: y + 0.03 * t),
+    ),
     ("burst", "z", 0.3, lambda y, t: y + 0.3 * ((t >= 0.5) & (t < 0.512))),
     ("scale", "u", 0.08, lambda y, t: 1.08 * y),
 ]

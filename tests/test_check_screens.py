@@ -483,7 +483,7 @@ def test_fix_writes_what_was_logged_where_an_equation_fails(tmp_path, capsys) ->
         assert np.allclose(record.outputs, logged[record.name].outputs, rtol=1e-9)
 
 
-@pytest.mark.parametrize("colour", [0.0, *slow(0.7), 0.95])
+@pytest.mark.parametrize("colour", [0.95, *slow(0.0, 0.7)])
 def test_noise_of_any_colour_is_no_misfit(colour: float) -> None:
     """Clean logs of both vehicles leave less than a third of every left side."""
     for vehicle in (DIVER, SHIP):
@@ -543,6 +543,7 @@ def test_depth_that_some_records_hold_is_no_other_fault(held: tuple[str, ...]) -
     assert [(one.name, one.records) for one in found.findings] == [("held z", held)]
 
 
+@pytest.mark.slow
 def test_motion_that_is_faster_than_the_samples_is_no_noise() -> None:
     """The roll rate of the shipped vehicle swings fast: its noise is as declared."""
     problem = load_problem("remus_6dof")

@@ -99,6 +99,7 @@ def test_it_stops_when_enough_is_known_and_forecasts_the_rest(fit, candidates) -
     assert late.answer(2, 0.2).endswith(f"that is left ({met} of {n} goals met).")
 
 
+@pytest.mark.slow
 def test_a_run_that_all_but_meets_a_goal_is_no_reason_to_go_home(fit, candidates) -> None:
     """A goal that is missed by a thousandth is met by the next run, and not called hopeless."""
     errors = np.array(list(fit.std_errors.values()))

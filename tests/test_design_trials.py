@@ -82,6 +82,7 @@ def test_bands_keep_range_and_rate_and_are_checked() -> None:
         Multisines(8, forbidden=[(0.3, 0.1)])
 
 
+@pytest.mark.slow
 def test_speed_distance_depth_and_return_are_kept_together() -> None:
     """An AUV loses little speed, stays in its box and comes back to its depth and trim."""
     problem = load_problem("auv_diving_plane")

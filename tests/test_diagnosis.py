@@ -737,6 +737,7 @@ def test_a_misfit_without_a_claim_is_not_nothing() -> None:
     assert found.verdict == "unexplained"
 
 
+@pytest.mark.slow
 def test_correlation_time_of_sensor_noise_is_found() -> None:
     """Noise that remembers for two seconds is seen as such, and nothing is claimed from it."""
     found = [dataset(seed, colour=0.9) for seed in (30, 31)]

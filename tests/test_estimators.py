@@ -53,8 +53,11 @@ CASES = [
     (MultipleShooting(), 1e-6, 0.85, 10),
     (baselines.OutputError(), 1e-6, 0.85, 10),
     (Multistart(n_starts=3, n_jobs=1), 1e-6, None, 0),
-    (baselines.JointKalmanFilter(), 1e-4, 0.85, 10),
-    *slow((baselines.JointKalmanFilter(kind="unscented"), 1e-3, 0.8, 4)),
+    *slow(
+        (baselines.JointKalmanFilter(), 1e-4, 0.85, 10),
+        (baselines.JointKalmanFilter(kind="unscented"), 1e-3, 0.8, 4),
+    ),
+    (baselines.JointKalmanFilter(), 1e-4, None, 0),
     (baselines.JointKalmanFilter(kind="unscented"), 1e-3, None, 0),
     (baselines.EquationError(rule="simpson"), 5e-3, 0.85, 10),
     (baselines.EquationError(window=9), 5e-3, None, 0),

@@ -97,6 +97,7 @@ def test_a_rudder_that_does_nothing_is_at_its_bound_and_not_reversed() -> None:
     assert input_factors(fit, fit.nominal) == ()
 
 
+@pytest.mark.slow
 def test_nothing_is_searched_for_in_records_of_a_reversed_rudder() -> None:
     """What a search would add replaces the rudder; the log is suspect and nothing certified."""
     data = records(5, -1.0)

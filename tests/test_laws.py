@@ -284,6 +284,7 @@ def test_waves_too_fast_for_the_samples_are_not_asked() -> None:
         assert (asked_of is None) is said
 
 
+@pytest.mark.slow
 def test_a_fit_says_that_its_process_noise_follows_motion() -> None:
     """It has taken the work of a wall that the model lacks, and not that of nothing."""
 

@@ -360,6 +360,7 @@ def test_sensitivity_plot_has_a_row_for_each_parameter() -> None:
     assert dots[0] == pytest.approx(ranking.rows[0].error)
 
 
+@pytest.mark.slow
 def test_design_figure_draws_commands_limits_and_errors(tmp_path: Path) -> None:
     """The figure can be written, and the accuracy shown is the design's."""
     limits = Limits(inputs={"rudder": (-0.35, 0.35)}, signals={"psi": (-0.6, 0.6)})

@@ -450,6 +450,7 @@ def test_a_velocity_far_off_is_no_force(error: float) -> None:
         assert abs(found.fit.values[name] - value) < 4.0 * found.fit.std_errors[name]
 
 
+@pytest.mark.slow
 def test_spikes_are_left_out_of_a_search_as_of_a_fit() -> None:
     """Five of fifteen standard deviations in each record change no more than gaps there do."""
     rows = [40, 95, 150, 203, 260]

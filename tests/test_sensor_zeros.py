@@ -73,6 +73,7 @@ def test_zeros_are_estimated_with_everything_else() -> None:
     np.testing.assert_allclose(fit.noise.sensors, STD, rtol=0.2)
 
 
+@pytest.mark.slow
 def test_ipopt_knows_zeros() -> None:
     """It ends where the damped steps do, to a twentieth of a standard error."""
     fit = fitted(0, 3.0)

@@ -118,7 +118,7 @@ def test_compiled_and_interpreted_steps_agree() -> None:
     assert one.output_sensitivities == pytest.approx(two.output_sensitivities, rel=1e-9, abs=1e-11)
 
 
-@pytest.mark.parametrize("disturbances", ["none", ("q",)])
+@pytest.mark.parametrize("disturbances", ["none", *slow((("q",),))])
 def test_a_stiff_model_is_fitted(disturbances: str | tuple[str, ...]) -> None:
     """White and filtered fits find the parameters of the slow motion."""
     rng = np.random.default_rng(1)
