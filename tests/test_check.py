@@ -986,9 +986,8 @@ def test_an_offset_of_an_input_is_told_and_is_no_delay(seed: int) -> None:
     assert one.size == pytest.approx(0.05, abs=0.0025)
 
 
-@pytest.mark.parametrize(
-    ("kind", "size", "seconds"), [("step", 0.05, 60.0), *slow(("burst", 0.1, 3.0))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "size", "seconds"), [("step", 0.05, 60.0), ("burst", 0.1, 3.0)])
 def test_a_zero_of_an_input_that_jumps_is_told_with_its_moment(
     kind: str, size: float, seconds: float
 ) -> None:

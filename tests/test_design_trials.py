@@ -109,6 +109,7 @@ def test_speed_distance_depth_and_return_are_kept_together() -> None:
     assert np.ptp(run.output("theta")) > 0.05
 
 
+@pytest.mark.slow
 def test_distance_that_nothing_can_keep_is_named() -> None:
     """Who runs for forty seconds goes further than thirty metres, and is told so."""
     problem = load_problem("auv_diving_plane")

@@ -248,6 +248,7 @@ def test_one_wave_in_two_equations_is_named_with_its_phase() -> None:
         assert abs(fit.values[name] - value) < 3.0 * fit.std_errors[name], name
 
 
+@pytest.mark.slow
 def test_one_wave_tells_derivatives_better_than_waves_apart() -> None:
     """Each axis says what pushes the other: stated errors fall to half, none rises."""
     together, apart = fitted(1, one_wave=True), fitted(1, one_wave=False)

@@ -45,7 +45,7 @@ def test_there_are_four_kinds() -> None:
     assert sorted(WRITERS) == PAGES
 
 
-@pytest.mark.parametrize("kind", ["ship", "torpedo", "usv", *slow("auv")])
+@pytest.mark.parametrize("kind", ["ship", "usv", *slow("auv", "torpedo")])
 def test_logs_become_the_records_that_they_were(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
