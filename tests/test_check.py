@@ -175,6 +175,20 @@ def test_lag_of_all_but_the_positions_is_said_of_them() -> None:
     assert one.size == pytest.approx(0.9, abs=0.05)
 
 
+@pytest.mark.parametrize("late", ["psi", "r"])
+def test_of_two_signals_one_late_is_the_other_early_and_no_second_fault(late: str) -> None:
+    """Nothing is measured before it happens; the delay of the other is told as the same."""
+    whole = log(SHIP, Fault("delay", (late,), 0.4))
+    kept = [np.nan if name not in ("psi", "r") else 1.0 for name in whole.channels.output_names]
+    data = Dataset(record.with_outputs(record.outputs * kept) for record in whole)
+    found = check(data, SHIP.model, inputs=False)
+    (one,) = found.serious
+    assert (one.kind, one.signals, one.alternatives) == ("delay", (late,), ())
+    assert one.size == pytest.approx(0.4, abs=0.1)
+    states = {a.signal: a.state for a in found.judged if a.fault == "delay"}
+    assert states[late] == "found"
+
+
 def test_earth_fixed_velocities_at_rates_of_their_own_are_named() -> None:
     """Positions, velocities and heading are seldom measured at the same samples."""
 

@@ -318,6 +318,20 @@ def test_read_as_the_good_file(tmp_path: Path, content: str | bytes) -> None:
     assert noted == ""
 
 
+@pytest.mark.parametrize(("headers", "found"), [("Datum", 1), ("logged,received", 2)])
+def test_dates_are_times_whatever_their_column_is_called(tmp_path, headers, found) -> None:
+    """Where no column is called time, one of dates is it; of two neither is."""
+    dates = [f"2024-05-31T12:00:{s:02d}Z" for s in range(12)]
+    rows = [f"{','.join([date] * found)},0,{0.01 * i}" for i, date in enumerate(dates)]
+    path = written(tmp_path, rows, f"{headers},delta [rad],psi [rad]")
+    if found == 1:
+        with pytest.warns(UserWarning, match="times of a clock"):
+            assert read_csv(path, SHIP)[0].duration == 11.0
+    else:
+        with pytest.raises(DataError):
+            read_csv(path, SHIP)
+
+
 def test_clocks_give_the_same_times(tmp_path: Path) -> None:
     """Times of every clock of the catalogue are those of the good file, from zero."""
     good, _ = read_of_csv(tmp_path, GOOD)

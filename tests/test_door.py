@@ -89,8 +89,8 @@ def test_foreign_logs_are_read_or_asked(tmp_path: Path, count: int) -> None:
 @pytest.mark.parametrize(
     ("name", "role"),
     [("Gierrate", "r"), ("vitesse de lacet", "r"), ("ángulo de timón", "rudder"), ("prua", "psi"),
-     ("Quergeschwindigkeit", "v"), ("diepte", "z"), ("Drehzahl", "rpm"), ("ch7", ""),
-     ("rollRate", "p"), ("velocidad", "u")],
+     ("Quergeschwindigkeit", "v"), ("speed athwart", "v"), ("diepte", "z"), ("Drehzahl", "rpm"),
+     ("ch7", ""), ("rollRate", "p"), ("velocidad", "u")],
 )  # fmt: skip
 def test_words_of_several_languages(name: str, role: str) -> None:
     """Compound names mean what their parts say."""
@@ -216,6 +216,10 @@ def test_import_says_what_it_read_and_keeps_the_mapping(tmp_path: Path) -> None:
         assert main(["import", str(log), "--out", str(tmp_path / name), *more]) == DONE
     first, again = (tmp_path / name / "log.csv" for name in ("first", "again"))
     assert first.read_text() == again.read_text()
+    log.rename(tmp_path / "next.csv")
+    more = ["--map", str(tmp_path / "first/mapping.toml"), "--out", str(tmp_path / "next")]
+    assert main(["import", str(tmp_path / "next.csv"), *more]) == DONE
+    assert (tmp_path / "next/next.csv").read_text() == first.read_text()
 
 
 def test_every_field_of_a_ships_own_log_is_told(tmp_path: Path, capsys) -> None:

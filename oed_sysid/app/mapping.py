@@ -141,35 +141,6 @@ def recognised(source: str, log: Log) -> Recognised:
     return _recognised(source, f"{visit.edition()}:{time_column(source)}", log)
 
 
-def for_file(mapping: LogMapping, log: Log) -> LogMapping:
-    r"""The mapping with the fields of another file of the same layout.
-
-    A field of a table is called after its file; where a log has no field of a name, the one with
-    the same name behind the first point is meant.
-
-    Examples
-    --------
-    >>> logs = open_files({n: b"t,yaw [deg]\n0,1\n1,2\n" for n in ("a.csv", "b.csv")}).logs
-    >>> mapping = LogMapping({}, {"psi": Source("a.yaw [deg]")})
-    >>> for_file(mapping, logs["b.csv"]).outputs["psi"].field
-    'b.yaw [deg]'
-    """
-    here: dict[str, Any] = {
-        side: {name: replace(one, field=field_in(log, one.field) or one.field)
-               for name, one in getattr(mapping, side).items()}
-        for side in ("inputs", "outputs")
-    }  # fmt: skip
-    return replace(mapping, **here)
-
-
-def field_in(log: Log, name: str) -> str:
-    """Field of that name, or with the same name behind the first point; empty where none is."""
-    if not name or name in log.names:
-        return name
-    tails = {one.partition(".")[2]: one for one in reversed(log.names)}
-    return tails.get(name.partition(".")[2], "")
-
-
 @dataclass(frozen=True, eq=False)
 class Stock:
     """Records to choose from; why files were refused, by their names; what looks odd."""
@@ -214,7 +185,7 @@ def imported(opened: Opened, mapping: LogMapping, channels: Channels) -> Stock:
     notes: list[str] = []
     for name, log in opened.logs.items():
         try:
-            made = import_log(log, for_file(mapping, log), channels)
+            made = import_log(log, mapping, channels)
         except DataError as error:
             refused[name] = str(error)
             continue
@@ -436,7 +407,7 @@ def _begin(source: str, problem: Problem, log: Log) -> None:
         key = partial(_place, source, channel.name)
         now = state.setdefault(key("field"), NOT_LOGGED)
         if now != NOT_LOGGED:
-            now = state[key("field")] = field_in(log, str(now)) or NOT_LOGGED
+            now = state[key("field")] = log.as_here(str(now)) or NOT_LOGGED
         if now == NOT_LOGGED and (one := guesses.get(channel.name)) is not None:
             state.update({key(fact): value for fact, value in _answers(one).items()})
     state[mark] = fields

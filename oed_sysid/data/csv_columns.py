@@ -100,18 +100,21 @@ class Columns:
         return times
 
     def time_column(self, time: str | None = None) -> int:
-        """Position of the column of times: of the header or name given, or called as usual."""
+        """Position of the column of times: of the name given, named as usual, or of dates."""
         wanted = TIME_NAMES if time is None else (time,)
         ways = zip(self.table.headers, self.parsed, strict=True)
         matches = [i for i, (header, (name, _)) in enumerate(ways) if {header, name} & {*wanted}]
         # A name that was given is meant to the letter; a thrust T beside a time t is no time.
         if time is None and not matches:
             matches = [i for i, (name, _) in enumerate(self.parsed) if name.lower() in wanted]
+            # Where no name says so, cells that are dates do.
+            matches = matches or [*self.table.stamps]
         if len(matches) != 1:
             what = "no" if not matches else "more than one"
             raise DataError(
                 f"{self.path.name} has {what} time column. {self.found} Call it 't [s]' in the "
-                "header, or, in Python, name it with time=..."
+                "header, or, in Python, name it with time=...; 'oed-sysid import "
+                f"{self.path.name}' tells times by their numbers, whatever they are called."
             )
         return matches[0]
 

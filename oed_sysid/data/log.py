@@ -407,9 +407,28 @@ class Log:
         spans = [one.span for one in self.series]
         return min(first for first, _ in spans), max(last for _, last in spans)
 
+    def as_here(self, name: str) -> str:
+        """Name of a field in this log; empty where there is none.
+
+        A table calls its fields after its file: the same column of another file is meant, too.
+
+        Examples
+        --------
+        >>> run = {"run_2": (np.arange(2.0), {"psi [deg]": np.ones(2)})}
+        >>> log = assemble(Path("run_2.csv"), "CSV file", run)
+        >>> log.as_here("run_1.psi [deg]"), log.as_here("psi [deg]"), log.as_here("run_1.psi")
+        ('run_2.psi [deg]', 'run_2.psi [deg]', '')
+        """
+        own = f"{self.path.stem}."
+        if name in self.names or not all(known.startswith(own) for known in self.names):
+            return name if name in self.names else ""
+        fitting = (one for one in self.names if f".{name}".endswith(one[len(own) - 1 :]))
+        return max(fitting, key=len, default="")
+
     def __getitem__(self, name: str) -> Series:
+        here = self.as_here(name)
         for one in self.series:
-            if one.name == name:
+            if one.name == here:
                 return one
         inside = [known for known in self.names if name.lower() in known.lower()][:4]
         near = f" It has {', '.join(inside)}." if inside else closest(name, self.names)

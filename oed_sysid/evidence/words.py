@@ -199,7 +199,9 @@ class Log:
             "since": f"from t = {at:.6g} s of {here} on" if fault.placed else f"in {here}",
             "where": f" in {here}" * bool(here), "own": ", per_record=True" * bool(here),
         }  # fmt: skip
-        others = (*map(rival, one.rivals), *[NOMINAL] * of_input)
+        delayed = (*names, here) if fault.kind == "delay" and not of_input else ()
+        told = (each for each in one.rivals if self._delayed(each) != delayed)
+        others = (*map(rival, told), *[NOMINAL] * of_input)
         kinds = {"rate": "clock", "input scale": "scale"}
         undone = replace(one.correction, signals=names, value=size)
         allowed = bool(self.modelled & {*fault.signals})
@@ -218,6 +220,14 @@ class Log:
         if "effect" in KINDS[row]["fix"] and self._channel(names[0]) is None:
             return f"{' and '.join(names)} is no output of the model: {COPY}"
         return ""
+
+    def _delayed(self, one: Found) -> tuple[str, ...]:
+        """Signals that a delay makes late, and its record: where one is ahead, the others are."""
+        fault = one.candidate
+        if fault.kind != "delay":
+            return (fault.kind,)
+        names = self._others(fault.signals) if one.size < 0.0 else fault.signals
+        return (*names, fault.record)
 
     def _row_of(
         self, fault: Candidate, size: float, *, of_input: bool
@@ -257,6 +267,8 @@ def judged_row(
 ) -> Judged:
     """Whether a fault was tested, from which size on, or why it was not."""
     size, plausible = _least_seen(kind, name, ended)
+    found = ended.found if ended is not None else ()
+    alike = (each.candidate for one in found for each in (one, *one.rivals))
     units = {"scale": "1", "delay": "s", "lost": "1", "rate": "1", "drift": f"{unit}/s"}
     of_size = kind not in READ and np.isfinite(size)
     shown = _size(size, units.get(kind, unit), ".1g") if of_size else ""
@@ -267,6 +279,9 @@ def judged_row(
         "nothing in which it moves enough": kind in READ,
         "no equation without unknown parameters relates it": not related,
         f"the motion shows it from {shown} on only": bool(shown),
+        "these records cannot tell it from what was found": any(
+            fault.signals == (name,) and kind in _kinds_of(fault) for fault in alike
+        ),
         "nothing that was measured depends on it": True,
     }
     return Judged(kind, name, "not tested", next(why for why, true in whys.items() if true))

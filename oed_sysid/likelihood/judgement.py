@@ -375,9 +375,10 @@ def _memory(fit: Estimate, name: str, tests: Sequence[Whiteness]) -> Found | Non
     if not n or effective > COLOUR_LIMIT * n or not _remember(tests, n):
         return None
     what = "Innovations" if fit.innovations is not None else "Residuals"
+    beside = "too_small" if fit.noise.has_forces else "too_small_without_forces"
     return Found(effective / n, name, facts={
         "what": what, "n": n, "effective": effective,
-        "todo": SO["sandwich" if fit.coloured else "too_small"],
+        "todo": SO["sandwich" if fit.coloured else beside],
     })  # fmt: skip
 
 
