@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import graphlib
+import re
 import statistics
 import subprocess
 import sys
@@ -190,6 +191,14 @@ def test_problems_use_the_public_api_only() -> None:
             if head != "oed_sysid" or private or (inner and inner[0] not in LAYERS):
                 wrong.append(f"{label(path)}:{line}: {module}")
     assert not wrong, "imports of more than the public API:\n" + "\n".join(wrong)
+
+
+def test_sentences_keep_their_first_space() -> None:
+    """A line that is continued in TOML loses the space that the next begins with."""
+    files = [*PACKAGE.rglob("*.toml")]
+    assert len(files) > 20
+    lost = [file.name for file in files if re.search(r'"""\\\n[ \t]', file.read_text("utf-8"))]
+    assert lost == []
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.physics import actuator_offset, sensor_bias
 from oed_sysid.prediction.speed_polar import SailingNames, speed_polar
 from oed_sysid.prediction.turning_circle import turning_circle
-from oed_sysid.results import new_figure, plot_polar
+from oed_sysid.results import new_figure, plot_polar, plot_prediction_error
 from problems.kvlcc2.averaging import Structure, average_structures, ladder, peak_input
 
 
@@ -64,6 +64,20 @@ def test_estimated_initial_state_is_the_least_squares_one(fit: Fit) -> None:
         assert cost(own) < cost(own + change)
     assert prediction.way == "fit"
     assert "all shared parameters held" in prediction.report()
+
+
+def test_errors_are_measured_by_all_noise_of_a_sensor(fit: Fit) -> None:
+    """Where most noise is autocorrelated, errors are not told in units of the little white part."""
+    white = fit.noise.white
+    noise = replace(fit.noise, white=0.1 * white, colour=white, colour_time=np.full(2, 5.0))
+    prediction = replace(fit, noise=noise).predict(fit.dataset)
+    np.testing.assert_allclose(prediction.sensors, np.hypot(0.1, 1.0) * white)
+    (line, *_) = (
+        one for one in plot_prediction_error(prediction, "r").get_lines() if one.get_rasterized()
+    )
+    np.testing.assert_allclose(
+        line.get_ydata(), prediction.residuals[0][:, 1] / prediction.sensors[1]
+    )
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import base64
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from itertools import pairwise
 from pathlib import Path
 
 import matplotlib as mpl
@@ -31,6 +32,7 @@ from oed_sysid.information import rank_parameters
 from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
+from oed_sysid.results.chart import Chart, Mark
 from oed_sysid.runtime.display import rounded
 
 mpl.use("Agg")
@@ -425,6 +427,24 @@ def test_error_plot_falls_to_one(story) -> None:
     expected = [found.base_error["test"], *(step.test_error for step in found.steps)]
     np.testing.assert_allclose(line.get_ydata(), expected)
     assert ax.get_xticklabels()[0].get_text() == "nominal"
+
+
+def test_names_of_many_steps_do_not_run_into_each_other() -> None:
+    """Names under a picture are folded to the room that each has."""
+    names = (
+        "nominal",
+        "+ yaw drift yaw",
+        "+ sway crossflow",
+        "+ yaw rudder stall",
+        "+ rudder drag",
+    )
+    line = Mark(range(5), np.ones(5), dashes="-")
+    ax = Chart((line,), "", "error", "", names=names).on()
+    ax.figure.draw_without_rendering()
+    boxes = [one.get_window_extent() for one in ax.get_xticklabels()]
+    gaps = [right.x0 - left.x1 for left, right in pairwise(boxes)]
+    assert len(gaps) == 4
+    assert min(gaps) > 0.0
 
 
 def test_residual_force_plot_has_its_band(story) -> None:

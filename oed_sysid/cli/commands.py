@@ -451,7 +451,7 @@ def campaign(
     bounds: Bounds = Bounds(),  # noqa: B008 (frozen)
     weather: Weather = Weather(),  # noqa: B008 (frozen)
 ) -> None:
-    """Say after each run whether to stop, or what to run next and what it would buy.
+    """Say after each run whether to stop, or what to run next and what that would tell.
 
     The state is a journal in FOLDER: the same command goes on after a break. Begin with --problem
     and --goal, then give each log with --record; the commands of the next run are written as

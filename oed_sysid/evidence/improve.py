@@ -146,13 +146,15 @@ def improve(
     searched = (0, False) if read_wrong else (max_effects, terms)
     run = Search(searched[0], tell, keep, notes, ready.whole, searched[1])
     end = run.beyond(run.known(study, base))
+    # Without disturbance forces no residual force is left to be seen.
+    moved = end.base
     if disturbances == "auto" and not read_wrong and _hiding(end):
         tell("searching without disturbance forces")
         calm = keep.once("without disturbance forces", partial(begin, disturbances="none"))
         end = run.calmer(end, *calm)
     tell("locating where the nominal model fails")
-    work = partial(locate, end.base, end.state.study.unit, likeliest(end.first))
-    location = run.stage("location", work) or Located.nothing(end.base)
+    work = partial(locate, moved, end.state.study.unit, likeliest(end.first))
+    location = run.stage("location", work) or Located.nothing(moved)
     tell("fits and errors of every step")
     result = keep.once("every step", lambda: _result(end, location, notes, log, logs))
     return replace(result, notes=(*_other_noise(result.fit), *result.notes))

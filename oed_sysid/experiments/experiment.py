@@ -201,8 +201,9 @@ class Experiment:
         """Raise :class:`DesignError` where limits are broken, said in words."""
         if broken:
             raise DesignError(
-                f"Experiment {self.name!r} breaks its limits: {'; '.join(broken)}. Make the "
-                "manoeuvre smaller or slower (Saturated, RateLimited), or widen the limit."
+                f"Experiment {self.name!r} breaks its limits: {'; '.join(broken)} (SI, "
+                "angles in rad). Make the manoeuvre smaller or slower (Saturated, RateLimited), or "
+                "widen the limit."
             )
 
     def _check_times(self, owner: str) -> None:

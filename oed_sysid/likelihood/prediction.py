@@ -163,7 +163,9 @@ class Prediction:
         states gives them, and disturbance forces of the fit, if any; infinite
         where a parameter is not identifiable and matters.
     sigma : ndarray (n_outputs,)
-        Standard deviation of the measurement noise.
+        Standard deviation of the white measurement noise.
+    sensors : ndarray (n_outputs,)
+        That of all measurement noise, autocorrelated noise included: the measure of errors.
     initial_states : tuple of mapping
         The model's own initial states, per record.
     way : str
@@ -183,6 +185,7 @@ class Prediction:
     outputs: tuple[np.ndarray, ...]
     model_std: tuple[np.ndarray, ...]
     sigma: np.ndarray
+    sensors: np.ndarray
     initial_states: tuple[Mapping[str, float], ...]
     way: str
     local_values: tuple[Mapping[str, float], ...] = ()
@@ -223,7 +226,7 @@ class Prediction:
         ]
         coverage = self.coverage()
         for output, (name, rms), sigma in zip(
-            self.dataset.channels.outputs, self.rms.items(), self.sigma, strict=True
+            self.dataset.channels.outputs, self.rms.items(), self.sensors, strict=True
         ):
             lines.append(
                 f"  {name}: rms {rms:.3g} {output.unit}, noise {sigma:.3g}; "
@@ -278,7 +281,8 @@ def predict(
         )
     parts = [_predict(model, r, covariance, noise, initial, way) for r in dataset]
     outputs, stds, starts, local = zip(*parts, strict=True)
-    return Prediction(dataset, outputs, stds, noise.white.copy(), starts, way, local)
+    white = noise.white.copy()
+    return Prediction(dataset, outputs, stds, white, noise.sensors, starts, way, local)
 
 
 def _predict(

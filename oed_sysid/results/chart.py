@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -106,7 +107,11 @@ class Chart:
         if self.logarithmic:
             draw.decades(ax, "y")
         if self.names:
-            ax.set_xticks(range(len(self.names)), self.names)
+            # Two letters are as wide as one is high, and one is left between two names.
+            size = ax.xaxis.get_ticklabels()[0].get_fontsize() * ax.figure.dpi / 72.0
+            width = max(int(2.0 * ax.bbox.width / size / len(self.names)) - 1, 1)
+            folded = [fill(name, width, break_long_words=False) for name in self.names]
+            ax.set_xticks(range(len(self.names)), folded)
             ax.set_xlim(-0.4, len(self.names) - 0.4)
         labels = {"xlabel": self.x_label, "ylabel": y_label}
         grid = "y" if self.names else "both"

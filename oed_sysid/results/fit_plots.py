@@ -92,10 +92,11 @@ def said_of(
             )
         row = model.dataset.names.index(data.name)
         mean = model.predictions[row] if isinstance(model, Fit) else model.outputs[row]
-        std = np.broadcast_to(model.sigma, mean.shape) if isinstance(model, Fit) else model.std[row]
+        sensors = model.noise.sensors if isinstance(model, Fit) else model.sensors
+        std = np.broadcast_to(sensors, mean.shape) if isinstance(model, Fit) else model.std[row]
         name = labels[number] if labels else f"model {number + 1}"
         look = draw.model_style(first + number)
-        found.append(Said(data, mean, std, model.residuals[row], model.sigma, name, look))
+        found.append(Said(data, mean, std, model.residuals[row], sensors, name, look))
     return found
 
 
