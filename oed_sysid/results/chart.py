@@ -108,9 +108,9 @@ class Chart:
             draw.decades(ax, "y")
         if self.names:
             # Two letters are as wide as one is high, and one is left between two names.
-            size = ax.get_xticklabels()[0].get_fontproperties().get_size_in_points()
+            letter = 0.5 * ax.get_xticklabels()[0].get_fontproperties().get_size_in_points()
             room = 72.0 * np.ptp(ax.bbox.intervalx) / ax.figure.dpi / len(self.names)
-            width = max(int(2.0 * room / size) - 1, 1)
+            width = max(int(room / letter) - 1, 1)
             folded = [fill(name, width, break_long_words=False) for name in self.names]
             ax.set_xticks(range(len(self.names)), folded)
             ax.set_xlim(-0.4, len(self.names) - 0.4)
