@@ -390,6 +390,21 @@ def test_first_model_of_positions_without_speeds(tmp_path: Path) -> None:
     assert values["u_u"] == pytest.approx(-0.1, rel=0.15)
 
 
+def test_a_command_that_never_moves_is_an_input_and_nothing_more(tmp_path: Path) -> None:
+    """No limit, lag or coefficient of a thrust that was the same all the time."""
+    s, rudder = circle(), 0.2 * np.sign(np.sin(0.04 * T))
+    columns = zip(T, s["psi"], s["r"], rudder, np.full(T.size, 9.0), strict=True)
+    log = tmp_path / "log.csv"
+    rows = [",".join(f"{x:.6f}" for x in row) for row in columns]
+    header = "t [s],psi [rad],r [rad/s],rudder [rad],thrust [N]"
+    log.write_text("\n".join([header, *rows]))
+    problem = load_problem(new_problem(tmp_path / "boat", log=log))
+    assert problem.model.input_names == ("rudder", "thrust")
+    assert set(problem.limits.inputs) == {"rudder"}
+    assert not [p.name for p in problem.model.all_parameters if "thrust" in p.name]
+    np.testing.assert_allclose(problem.data()[0].input("thrust"), 9.0)
+
+
 def test_a_starter_takes_commands_by_name_and_unit(tmp_path: Path, capsys) -> None:
     """Of a log of any format; what was told and what is asked is printed."""
     s, force = circle(), 5.0 * np.sign(np.sin(0.04 * T))

@@ -27,7 +27,7 @@ from oed_sysid.design.decision import Logbook
 from oed_sysid.errors import DesignError, ModelError
 from oed_sysid.experiments.manoeuvres import Piecewise
 from oed_sysid.information import sea_noise
-from oed_sysid.likelihood.noise_model import Sea
+from oed_sysid.likelihood.noise_model import Sea, forces_in, seas_in
 
 MASS, ADDED, LENGTH = 30.0, {"u": 1.0, "v": 36.0, "w": 36.0}, 40.0
 OMEGA = 2 * math.pi / 8.0
@@ -210,5 +210,8 @@ def test_a_campaign_for_a_swell_estimates_with_a_sea(tmp_path: Path) -> None:
         assert campaign.estimator == MultipleShooting(disturbances=told)
     problem = load_problem("remus_diving_plane")
     study = Study("remus_diving_plane", "default", problem, disturbances="Z, sea")
-    assert study.acting == ("Z", Sea())
+    assert study.acting == ("Z", "sea")
+    assert seas_in(study.acting) == (Sea(),)
+    assert forces_in(study.acting) == ("Z",)
+    assert forces_in("sea") == forces_in(Sea()) == "all"
     assert replace(study, disturbances="auto").acting == "auto"

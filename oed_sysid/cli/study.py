@@ -104,10 +104,8 @@ class Study:
         """Where disturbance forces may act, as estimators take it."""
         if self.disturbances in ("auto", "none", "all"):
             return self.disturbances
-        from oed_sysid.likelihood.noise_model import Sea
-
         names = (name.strip() for name in self.disturbances.split(","))
-        return tuple(Sea() if name == "sea" else name for name in names if name)
+        return tuple(name for name in names if name)
 
     def without_records(self) -> Study:
         """Return the problem alone."""

@@ -407,6 +407,11 @@ class _Log:
         return [s for s in self.states if alone or s.name not in ("x", "y", "z", "psi")]
 
     @cached_property
+    def moving(self) -> list[_Signal]:
+        """Commands that change: of one held all the time no log tells what it does."""
+        return [s for s in self.commands if f"{s.values.min():.4g}" != f"{s.values.max():.4g}"]
+
+    @cached_property
     def scales(self) -> dict[str, float]:
         """Size of every measured signal."""
         spreads = ((s.name, np.std(_without_gaps(self.times, s.values))) for s in self.states)
@@ -422,7 +427,7 @@ class _Log:
                 parameters += own
         step = float(np.median(np.diff(self.times)))
         states = ((s.name, s.unit, self.scales[s.name]) for s in self.states)
-        ranges = ((s.name, np.min(s.values), np.max(s.values)) for s in self.commands)
+        ranges = ((s.name, np.min(s.values), np.max(s.values)) for s in self.moving)
         lists = {
             "states": [f'State("{n}", "{unit}", scale={size:.3g}),' for n, unit, size in states],
             "inputs": [s.declared("Input") for s in self.commands],
@@ -448,12 +453,12 @@ class _Log:
             for s in self.acting
             if s.name not in self.integral
         ]
-        names = [s.name for s in self.commands]
+        names = [s.name for s in self.moving]
         return found + [f'actuator_lag("{n}_lag", "{n}", scale={lag:.3g}),' for n in names]
 
     def linear_rate(self, signal: _Signal) -> tuple[str, list[str]]:
         """Rate linear in what acts on it, and parameters by regularised least squares."""
-        times, factors = self.times, [*self.acting, *self.commands]
+        times, factors = self.times, [*self.acting, *self.moving]
         columns = np.column_stack([_without_gaps(times, s.values) for s in factors])
         means, sizes = columns.mean(axis=0), columns.std(axis=0)
         sizes[sizes == 0.0] = 1.0

@@ -78,7 +78,7 @@ class MultipleShooting:
     loss : str
         ``"auto"`` is the square, and leaves out samples that clearly are spikes at the fit
         without process noise, before process noise is tested for (NaN in the fit's own data,
-    counted in ``fit.excluded`` and in the report); ``"square"`` keeps them;
+        counted in ``fit.excluded`` and in the report); ``"square"`` keeps them;
         ``"huber"`` and ``"student"`` let them count less. With a ``horizon``, ``"auto"`` is
         the square.
     start : str
@@ -93,11 +93,12 @@ class MultipleShooting:
     disturbances : str, Sea or sequence of these
         Disturbance forces. ``"auto"`` tests at the white fit whether any act (a score test
         at variance zero) and, if so, estimates their levels and times with everything
-        else; ``"none"`` takes residuals for sensor noise; ``"all"`` lets a force into
+        else; ``"none"`` takes residuals for sensor noise; ``"all"`` admits a force in
         every equation; or the equations, states or places that are disturbed, such as
         ``("Z", "M")`` or ``("actuator fin",)``. Where forces act, narrow-band ones are tested
         for and taken in their place (:mod:`oed_sysid.likelihood.random_forces`);
-        ``Sea(period=8.0)`` declares one, of which what is left out is estimated. See
+        ``Sea(period=8.0)`` declares one, of which what is left out is estimated; ``"sea"`` is
+        ``Sea()``. See
         :mod:`oed_sysid.likelihood.noise_model`.
     horizon : float or None
         How far ahead the fit has to be right, s: records are predicted in windows of this

@@ -464,16 +464,21 @@ Disturbances = str | Sea | Sequence[str | Sea]
 
 def seas_in(disturbances: Disturbances) -> tuple[Sea, ...]:
     """Seas that are declared among disturbances."""
-    given = (disturbances,) if isinstance(disturbances, str | Sea) else disturbances
-    return tuple(one for one in given if isinstance(one, Sea))
+    return tuple(one for one in _given(disturbances) if isinstance(one, Sea))
 
 
 def forces_in(disturbances: Disturbances) -> str | tuple[str, ...]:
     """Places that disturbances are asked for; all where nothing but a sea is."""
-    if isinstance(disturbances, str):
+    given = _given(disturbances)
+    if isinstance(disturbances, str) and disturbances in given:
         return "all" if disturbances == "auto" else disturbances
-    named = () if isinstance(disturbances, Sea) else disturbances
-    return tuple(one for one in named if isinstance(one, str)) or "all"
+    return tuple(one for one in given if isinstance(one, str)) or "all"
+
+
+def _given(disturbances: Disturbances) -> tuple[str | Sea, ...]:
+    """What is asked for, one by one; the word alone is a sea of which nothing is known."""
+    given = (disturbances,) if isinstance(disturbances, str | Sea) else disturbances
+    return tuple(Sea() if one == "sea" else one for one in given)
 
 
 def step_within(times: np.ndarray, most: float) -> float | None:
