@@ -235,6 +235,19 @@ def test_a_missing_heave_force_is_found_in_the_heave_equation(drag) -> None:  # 
     assert np.std(found.forces[0].values[:, 1]) < 0.8 * np.std(DRAG * w * np.abs(w))
 
 
+def test_a_fit_without_forces_shows_those_of_the_fit_that_has_them(drag) -> None:  # type: ignore[no-untyped-def]
+    """Places are judged alike; residual forces are seen where they may be larger than nothing."""
+    train, study, fit = drag
+    calm = Study.begin(study.base, train, None, (), known_noise=True, disturbances="none")[1]
+    alone, beside = locate(calm, study.unit), locate(calm, study.unit, moved=fit)
+    assert alone.gains == beside.gains
+    named = beside.force_names.index("Z")
+    size, unseen = (np.std(one.forces[0].values[:, named]) for one in (beside, alone))
+    assert size > 100.0 * unseen
+    expected = locate(fit, study.unit).forces[0].values
+    np.testing.assert_allclose(beside.forces[0].values, expected)
+
+
 def test_standard_errors_of_residual_forces_are_honest() -> None:
     """Without missing physics the smoothed force is noise of the size that it states."""
     study, fit = begun(records("nothing, other derivatives"))

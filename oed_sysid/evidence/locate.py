@@ -189,6 +189,7 @@ def locate(
     fit: FilteredSolution,
     unit: NoiseModel,
     rivals: Mapping[str, FilteredSolution] | None = None,
+    moved: FilteredSolution | None = None,
 ) -> Located:
     """Locate where a model fails.
 
@@ -205,7 +206,11 @@ def locate(
     rivals : mapping of str to FilteredSolution, optional
         Fits of models that may be right, as a ranking's refits hold them;
         their signatures are put beside the residual forces.
+    moved : FilteredSolution, optional
+        The present model with disturbance forces, which shows residual forces, where ``fit`` has
+        none; by default ``fit``.
     """
+    moved = moved or fit
     if fit.problem.dataset.only_tests:
         return replace(Located.nothing(fit), by_motion=in_words(fit))
     found = evidence(fit, unit)
@@ -213,8 +218,8 @@ def locate(
         return Located.nothing(fit)
     found.sort(key=lambda part: part.order)
     # Forces in all equations at once, whichever place is best: what they look like is a finding.
-    smoother = ResidualForces(*let_in(fit, unit))
-    placed = (place.partition(" ") for place in fit.noise.places)
+    smoother = ResidualForces(*let_in(moved, unit))
+    placed = (place.partition(" ") for place in moved.noise.places)
     columns = {i: signal for i, (stage, _, signal) in enumerate(placed) if stage == "force"}
     forces = tuple(series.only([*columns]) for series in smoother.series())
     return Located(
