@@ -601,19 +601,6 @@ def test_an_exact_input_is_no_noise_however_rough() -> None:
 
 
 @pytest.mark.slow
-def test_the_exact_gradient_finds_a_way_on_where_steps_are_short() -> None:
-    """Of a ship that turns in a sea from astern: the fit with its seas stalled."""
-    scenario = SCENARIOS["ship_stern_sea"]
-    model = nominal_model(scenario.vehicle).with_values(believed(scenario))
-    (drawn,) = simulate_worlds(scenario, 209, [0])
-    fit = MultipleShooting().fit(model, dataset(scenario, model, drawn.runs))
-    assert "process_noise" not in kinds(fit)
-    assert fit.noise.seas
-    away = [(fit.values[n] - value) / fit.std_errors[n] for n, value in drawn.truth.items()]
-    assert np.abs(away).max() < 3.5
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1])
 def test_a_helmsmans_white_rudder_is_no_noise_of_the_log(number: int) -> None:
     """What he answers to a noisy heading moves the ship: outputs ask for no noise of the log."""

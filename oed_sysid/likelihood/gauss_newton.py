@@ -807,7 +807,7 @@ def _polished(descent: Descent, most: int) -> str:
     """
     last, problem = "", descent.now.problem
     for look in range(most):
-        if not descent.refine(restricted, StepControl(FEW)):
+        if not descent.refine(restricted, StepControl(FEW, MOST_DAMPING)):
             return last
         last = descent.run(1, enough=lambda progress: progress.decrement < FROZEN_TOLERANCE)
         before = descent.before

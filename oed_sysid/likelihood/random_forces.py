@@ -78,19 +78,16 @@ def fit_disturbed(
     """
     beginnings = _beginnings(setting, starts, test)
     stayed = _stayed(beginnings, starts)
-    first, best = (stayed, stayed) if stayed else _raced_to_sea(beginnings, setting, progress)
+    best = stayed or _raced_to_sea(beginnings, setting, progress)
     if best.finite is None:
         return best
     best = admitted(best, setting)
     apart = with_own_times(best, setting)
     if apart is stayed or not polish:
         return apart
-    # What frozen gains leave is more than a price: parts that end nowhere were none.
-    ends = (_polished(one, polish) for one in dict.fromkeys((apart, best, first)))
-    tried = [next(ends)]
-    while tried[-1].reason not in ("converged", "interrupted") and (end := next(ends, None)):
-        tried.append(end)
-    return tried[-1] if tried[-1].reason == "converged" else tried[0]
+    end = _polished(apart, polish)
+    # What frozen gains leave is more than this price: a part that ends nowhere was none.
+    return end if apart is best or end.reason == "converged" else _polished(best, polish)
 
 
 def _beginnings(setting: Setting, starts: Sequence[Start], test: ScoreTest) -> list[Iterate]:
@@ -125,17 +122,17 @@ def _noises(setting: Setting, test: ScoreTest) -> list[NoiseModel]:
 
 def _raced_to_sea(
     beginnings: Sequence[Iterate], setting: Setting, progress: Callable[[Progress], None] | None
-) -> tuple[FilteredSolution, FilteredSolution]:
-    """The likeliest end with forces of first order; and the same, or with a sea if there is one."""
-    first = best = _raced(beginnings, min(setting.max_iterations, FIRST_STEPS), progress)
+) -> FilteredSolution:
+    """The likeliest end with forces of first order, or with a sea where there is one."""
+    best = _raced(beginnings, min(setting.max_iterations, FIRST_STEPS), progress)
     if best.finite is not None:
         starts = (FilteredSolution(one, 0, "iterations") for one in beginnings)
         best = with_sea(best, setting, (best, *starts))
     left = setting.max_iterations - FIRST_STEPS
     if best.reason != "iterations" or left <= 0:
-        return first, best
+        return best
     again = solved(best, left, progress)
-    return first, replace(again, iterations=best.iterations + again.iterations)
+    return replace(again, iterations=best.iterations + again.iterations)
 
 
 def _polished(found: FilteredSolution, polish: int) -> FilteredSolution:
