@@ -569,7 +569,7 @@ def _chain(located: Located) -> None:
     st.caption(
         "How far the likelihood-ratio statistic of something unknown at each place is behind "
         f"that of the best, {located.top:,.0f}: the stronger the "
-        f"colour, the likelier the place. Outlined: the best. By chance "
+        "colour, the likelier the place. Outlined: the best. By chance "
         f"the statistic is up to {CLEAR:.0f}."
     )
 

@@ -96,7 +96,7 @@ class MultipleShooting:
         else; ``"none"`` takes residuals for sensor noise; ``"all"`` admits a force in
         every equation; or the equations, states or places that are disturbed, such as
         ``("Z", "M")`` or ``("actuator fin",)``. Where forces act, narrow-band ones are tested
-        for and taken in their place (:mod:`oed_sysid.likelihood.random_forces`);
+        for and taken in their place (:mod:`oed_sysid.likelihood.sea_search`);
         ``Sea(period=8.0)`` declares one, of which what is left out is estimated; ``"sea"`` is
         ``Sea()``. See
         :mod:`oed_sysid.likelihood.noise_model`.

@@ -469,10 +469,9 @@ def seas_in(disturbances: Disturbances) -> tuple[Sea, ...]:
 
 def forces_in(disturbances: Disturbances) -> str | tuple[str, ...]:
     """Places that disturbances are asked for; all where nothing but a sea is."""
-    given = _given(disturbances)
-    if isinstance(disturbances, str) and disturbances in given:
+    if isinstance(disturbances, str) and not seas_in(disturbances):
         return "all" if disturbances == "auto" else disturbances
-    return tuple(one for one in given if isinstance(one, str)) or "all"
+    return tuple(one for one in _given(disturbances) if isinstance(one, str)) or "all"
 
 
 def _given(disturbances: Disturbances) -> tuple[str | Sea, ...]:

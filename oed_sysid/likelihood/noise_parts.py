@@ -2,7 +2,8 @@
 
 One forward search (:func:`admitted`): a part is proposed where a cheap statistic asks for it (a
 score test, correlated innovations), estimated from where the fit without it ended, and stays where
-the restricted likelihood pays its price.
+the restricted likelihood pays its price. Before it stand the steps and races that this search, that
+for a sea and the beginnings of a fit share.
 """
 
 from __future__ import annotations
