@@ -47,7 +47,7 @@ from oed_sysid.likelihood.departures import asked_of, estimate_departures, off_o
 from oed_sysid.likelihood.estimate import Departure
 from oed_sysid.likelihood.gauss_newton import nowhere
 from oed_sysid.likelihood.judgement import CHECKS, FATAL, SAYS, Concern, judge, unexplained
-from oed_sysid.likelihood.laws import departures_beside
+from oed_sysid.likelihood.laws import departures_beside, posed_again
 from oed_sysid.likelihood.noise_levels import (
     held_masks,
     repeating,
@@ -598,6 +598,37 @@ def test_an_exact_input_is_no_noise_however_rough() -> None:
     found = improve(model, train, validation, candidates=(), terms=False)
     for fit in (WHITE.fit(model, train), MultipleShooting().fit(model, train), found.fit):
         assert "input_noise" not in kinds(fit)
+
+
+@pytest.mark.slow
+def test_the_exact_gradient_finds_a_way_on_where_steps_are_short() -> None:
+    """Of a ship that turns in a sea from astern: the fit with its seas stalled."""
+    scenario = SCENARIOS["ship_stern_sea"]
+    model = nominal_model(scenario.vehicle).with_values(believed(scenario))
+    (drawn,) = simulate_worlds(scenario, 209, [0])
+    fit = MultipleShooting().fit(model, dataset(scenario, model, drawn.runs))
+    assert "process_noise" not in kinds(fit)
+    assert fit.noise.seas
+    away = [(fit.values[n] - value) / fit.std_errors[n] for n, value in drawn.truth.items()]
+    assert np.abs(away).max() < 3.5
+
+
+def test_rounding_does_not_grow_in_the_filter_of_an_unstable_vehicle() -> None:
+    """A value moved by a millionth of its error moves the likelihood by its slope, no more."""
+    scenario = SCENARIOS["unstable"]
+    model = nominal_model(scenario.vehicle).with_values(believed(scenario))
+    (drawn,) = simulate_worlds(scenario, 9101, [0])
+    fit = MultipleShooting().fit(model, dataset(scenario, model, drawn.runs))
+    assert fit.status.ok
+    problem, at = posed_again(fit, None, levels=True)
+    gathered = problem.gathered(at, problem.passes(at))
+    errors = 1.0 / np.sqrt(np.diag(gathered[0]))
+    for index, error in enumerate(errors):
+        there = [at.copy() for _ in range(3)]
+        for one, count in zip(there, (-1.0, 0.0, 1.0), strict=True):
+            one[index] += 1e-6 * count * error
+        less, same, more = map(problem.objective, there)
+        assert abs(less - 2.0 * same + more) < 1e-6
 
 
 @pytest.mark.slow

@@ -511,6 +511,10 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             for (int i = 0; i < nr; ++i)
                 for (int j = 0; j < nr; ++j)
                     J[(size_t)(na + i) * joint + na + j] += fresh[PAIR(i, j, nr)];
+            /* Measurements correct the symmetric part alone: what rounding leaves of another would
+             * grow with the square of an unstable mode. */
+            for (int i = 0; i < size; ++i)
+                for (int j = 0; j < i; ++j) J[(size_t)j * joint + i] = J[(size_t)i * joint + j];
             remember(mean + na, phi, nr, delta);
         }
         let_act(p, nq, q_index, mean + na);

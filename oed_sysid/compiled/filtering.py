@@ -859,6 +859,7 @@ class InterpretedFilter:
         # P^- = F P F' + D - phi D phi': stationary where nothing is measured.
         self.p = f @ self.p @ np.swapaxes(f, 1, 2)
         self.p[:, extra, extra] += stationary - phi @ stationary @ np.swapaxes(phi, 1, 2)
+        self.p = 0.5 * (self.p + np.swapaxes(self.p, 1, 2))  # see filter.c
 
 
 class FilterKernel(Kernel):

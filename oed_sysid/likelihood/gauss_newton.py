@@ -786,9 +786,13 @@ def solve_filtered(
         # The exact gradient has the last word, whatever the frozen one ended with.
         near.append("iterations")
         reason = last if last in ("interrupted", "stalled") else reason
-    if reason in near and descent.decrease < NEAR:
-        reason = "converged"
     now, cost = descent.now, descent.now.cost
+    # A damped step promises little everywhere: a full one tells whether this is the end.
+    arrived = FilteredSolution(now, 0, reason).promise < NEAR
+    if reason in near and arrived:
+        reason = "converged"
+    elif reason == "converged" and polish and not arrived:
+        reason = "stalled"
     if descent.evaluate is restricted:  # what is told of the fit is its likelihood
         cost = 0.5 * problem.objective(now.point.unknowns)
     return FilteredSolution(now.kept(cost), descent.steps + 1, reason)
@@ -807,7 +811,7 @@ def _polished(descent: Descent, most: int) -> str:
     """
     last, problem = "", descent.now.problem
     for look in range(most):
-        if not descent.refine(restricted, StepControl(FEW, MOST_DAMPING)):
+        if not descent.refine(restricted, StepControl(FEW)):
             return last
         last = descent.run(1, enough=lambda progress: progress.decrement < FROZEN_TOLERANCE)
         before = descent.before
