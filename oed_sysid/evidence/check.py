@@ -29,27 +29,21 @@ The equations come from the model's own text, or follow from standard names of s
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import compress, product
-from operator import not_
+from functools import partial
+from itertools import product
 from time import perf_counter
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence import contrasts, words
-from oed_sysid.evidence.contrasts import UNEXPLAINED, Found, Piece, Question, Result
+from oed_sysid.evidence.contrasts import UNEXPLAINED, Piece, Question, Result
 from oed_sysid.evidence.corrections import corrected_copies, why_not_more
 from oed_sysid.evidence.inputs import between_runs, input_findings, scaled_inputs
 from oed_sysid.evidence.readings import Evidence, diagnosed
-from oed_sysid.evidence.relations import (
-    Relation,
-    names_of,
-    relations,
-    spare_signals,
-    standard,
-)
+from oed_sysid.evidence.relations import Relation, names_of, relations, spare_signals, standard
 from oed_sysid.evidence.result import (
     Balance,
     Correction,
@@ -133,14 +127,10 @@ def check(
     if model is not None or not isinstance(dataset, Dataset):
         check_channels(model, dataset)
     traces = [Trace.of(r, spare_signals(r)) for r in dataset]
-    equations = _equations(dataset, model, traces)
     faults, traces = screened(traces)
-    told, clean = _told_of(equations, faults), _clean(traces, faults)
-    equations, fast = _parted(told, clean)
-    related, balances, ended = list[Finding](), tuple[Balance, ...](), None
-    if equations:
-        faults, related, balances, ended = _related(dataset, model, clean, equations, faults)
-    faults = [_moved(one, equations) for one in faults]
+    told, clean = _equations(dataset, model, traces, faults), _clean(traces, faults)
+    equations = tuple(filter(partial(_is_resolved, clean), told))
+    faults, related, balances, ended = _related(dataset, model, clean, equations, faults)
     late = jitter(clean)
     findings = [
         *words.screen_findings(dataset, traces, faults),
@@ -148,7 +138,7 @@ def check(
         *words.jitter_finding(late, dataset),
     ]
     names = dataset.channels.output_names
-    asked, unchecked = _asked(names, traces, equations, ended), _shared(told, clean, fast)
+    asked, unchecked = _asked(names, traces, equations, ended), _shared(told, clean, equations)
     asked += words.jitter_rows(late, names)
     if inputs and model is not None:
         known = [f.correction for f in findings if f.correction is not None]
@@ -182,20 +172,6 @@ def _answered(asked: Sequence[Judged], findings: Sequence[Finding]) -> tuple[Jud
     )
 
 
-def _told_of(equations: tuple[Relation, ...], faults: Sequence[Fault]) -> tuple[Relation, ...]:
-    """Equations without a signal that says nothing."""
-    mute = set().union(*(one.names for one in faults if one.kind in ("dead", "copied")))
-    return tuple(r for r in equations if mute.isdisjoint(r.names))
-
-
-def _parted(
-    equations: tuple[Relation, ...], traces: Sequence[Trace]
-) -> tuple[tuple[Relation, ...], tuple[Relation, ...]]:
-    """Equations whose right sides are measured often enough, and the others."""
-    known = [_is_resolved(traces, one) for one in equations]
-    return tuple(compress(equations, known)), tuple(compress(equations, map(not_, known)))
-
-
 def _is_resolved(traces: Sequence[Trace], relation: Relation) -> bool:
     """Whether a right side is measured often enough to tell of its left side.
 
@@ -227,15 +203,14 @@ def _related(
     steps = {one: _steps(one, clean, equations) for one in faults if one.kind == "step"}
     known = {fix.key: fix for fixes in steps.values() for fix in fixes or ()}
     found, ended = diagnosed(clean, Question.of(clean, equations, known.values()))
-    sized = {one.correction.key: one for one in ended.found}
     mended = contrasts.mended(clean, (*found, *ended.found), equations)
     ends = {trace.name: trace.ends for trace in clean}
     log = words.Log(dataset.channels, equations, dataset.names, ends, _sensed(model))
     findings = [*map(log.reading, found)]
-    findings += map(log.sized, (one for key, one in sized.items() if key not in known))
+    findings += (log.sized(one) for one in ended.found if one.correction.key not in known)
     findings += words.clock_findings(mended, equations)
     findings += words.misfit_finding(contrasts.unexplained(mended, equations), equations)
-    faults = [_resized(one, steps.get(one), sized) for one in faults]
+    faults = [_resized(one, steps[one], ended) if one in steps else one for one in faults]
     return faults, findings, tuple(_balances(clean, mended, equations)), ended
 
 
@@ -243,6 +218,8 @@ def _steps(
     fault: Fault, traces: Sequence[Trace], equations: tuple[Relation, ...]
 ) -> list[Correction] | None:
     """Steps that a screen found, as faults of the equations; empty where these contradict them.
+
+    None where no equation relates the signal.
 
     A signal that catches up with the motion after it was lost jumps as well, and is right
     afterwards: with the jump subtracted the equations tell less, not more.
@@ -260,19 +237,15 @@ def _steps(
     return fixes if Evidence(some, [here]).gained(fixes) > 0.0 else []
 
 
-def _moved(fault: Fault, equations: tuple[Relation, ...]) -> Fault:
-    """A fault; a step of a signal that no equation relates is none that anything contradicts."""
-    told = fault.kind != "step" or any(fault.signal in one.names for one in equations)
-    return fault if told else replace(fault, kind="moved")
+def _resized(fault: Fault, fixes: Sequence[Correction] | None, ended: Result) -> Fault:
+    """Steps of a signal with the sizes that the equations give them; it caught up without any.
 
-
-def _resized(
-    fault: Fault, fixes: Sequence[Correction] | None, sized: Mapping[Hashable, Found]
-) -> Fault:
-    """A fault with the sizes that the equations give its steps; it has caught up without any."""
+    Where no equation relates it, nothing contradicts that it moved so.
+    """
     if fixes is None:
-        return fault
-    own = tuple(sized[f.key].size if f.key in sized else f.value for f in fixes)
+        return replace(fault, kind="moved")
+    sized = {one.correction.key: one.size for one in ended.found}
+    own = tuple(sized.get(fix.key, fix.value) for fix in fixes)
     if not own:
         return replace(fault, kind="caught up")
     return replace(fault, sizes=own, amount=max(own, key=abs))
@@ -333,7 +306,7 @@ def with_estimates(
     for one in input_factors(fit, begun):
         row = {"says": one.text, "name": one.channel.name}
         findings.append(words.said("input_factor", (one.channel.name,), log.records, row))
-    findings += [*_departing(log, fit), *_zeros(log, fit), *_far(fit, log.records)]
+    findings += [*_departed(log, fit), *_zeros(log, fit), *_far(fit, log.records)]
     findings += [*scaled_inputs(fit), *between_runs(fit)]
     return replace(log, findings=tuple(_ordered(findings)))
 
@@ -410,7 +383,7 @@ def _noisier(fit: Fit) -> set[str]:
     return told | {o.name for o, std in level if std > WORTH_TELLING * (o.noise_std or np.inf)}
 
 
-def _far(fit: Fit, records: tuple[str, ...]) -> list[Finding]:
+def _far(fit: Fit, records: tuple[str, ...]) -> Iterator[Finding]:
     """Values many prior deviations from their prior means."""
     away = {
         p.name: abs(p.value - p.prior_mean) / p.prior_std
@@ -419,19 +392,21 @@ def _far(fit: Fit, records: tuple[str, ...]) -> list[Finding]:
     }
     far = {name: size for name, size in away.items() if size > BEYOND}
     row = {"away": ", ".join(f"{name} ({size:.1f})" for name, size in far.items())}
-    return [words.said("far", tuple(far), records, row)] if far else []
+    if far:
+        yield words.said("far", tuple(far), records, row)
 
 
-def _departing(log: LogCheck, fit: Fit) -> list[Finding]:
-    """The departure of sensors that a fit names, unless the equations between signals have."""
+def _departing(fit: Fit) -> Departure | None:
+    """The departure of sensors that a fit names; an actuator that lags, or is off, is none."""
     ended = fit.status.ok or fit.status.code == "degenerate"
     best = departure_of(fit) if ended else None
-    # So may an actuator that lags, or is off.
-    return [] if best is None or best.kind in ACTING else _departed(log, fit, best)
+    return None if best is None or best.kind in ACTING else best
 
 
-def _departed(log: LogCheck, fit: Fit, best: Departure) -> list[Finding]:
-    """The finding of a departure; none where that of the equations says it."""
+def _departed(log: LogCheck, fit: Fit) -> Iterator[Finding]:
+    """What departs by a fit, unless the equations between signals have said so."""
+    if (best := _departing(fit)) is None:
+        return
     column = fit.model.output_names.index(best.signal)
     late = MATERIAL * min(record.sample_time for record in fit.dataset)
     # Units, and least sizes that matter: those of the equations between signals.
@@ -444,15 +419,13 @@ def _departed(log: LogCheck, fit: Fit, best: Departure) -> list[Finding]:
     }
     (one,) = (c for c in concerns_of(fit, "offset", *kinds) if c.size == best.size)
     kind = "bias" if one.kind == "offset" else one.kind
-    if any(log.named(kind, name) for name in best.signals):
-        return []
-    unit, least = kinds[kind]
-    finding = words.said(
-        kind, best.signals, log.records, _text(one), row="departs",
-        size=best.size, interval=interval(best.size, best.std), unit=unit, gain=best.gain,
-        alternatives=best.rivals, suspect=abs(best.size) > least,
-    )  # fmt: skip
-    return [finding]
+    if not any(log.named(kind, name) for name in best.signals):
+        unit, least = kinds[kind]
+        yield words.said(
+            kind, best.signals, log.records, _text(one), row="departs",
+            size=best.size, interval=interval(best.size, best.std), unit=unit, gain=best.gain,
+            alternatives=best.rivals, suspect=abs(best.size) > least,
+        )  # fmt: skip
 
 
 def _zeros(log: LogCheck, fit: Fit) -> Iterator[Finding]:
@@ -473,15 +446,19 @@ def _text(one: Concern) -> dict[str, str]:
 
 
 def _equations(
-    dataset: Dataset, model: Model | None, traces: Sequence[Trace]
-) -> tuple[Relation, ...]:
-    """Equations between signals that were measured."""
+    dataset: Dataset, model: Model | None, traces: Sequence[Trace], faults: Sequence[Fault]
+) -> list[Relation]:
+    """Equations between signals that were measured and say something."""
     everywhere = set.intersection(*(set(trace.values) for trace in traces))
     spare = everywhere - set(dataset.channels.output_names)
     missing = set.intersection(*(set(record.missing_outputs) for record in dataset))
-    if model is not None:
-        return relations(model, spare, missing)
-    return tuple(standard([o for o in dataset.channels.outputs if o.name not in missing], spare))
+    mute = set().union(*(one.names for one in faults if one.kind in ("dead", "copied")))
+    found = (
+        standard([o for o in dataset.channels.outputs if o.name not in missing], spare)
+        if model is None
+        else relations(model, spare, missing)
+    )
+    return [one for one in found if mute.isdisjoint(one.names)]
 
 
 def _ordered(findings: list[Finding]) -> list[Finding]:
@@ -498,7 +475,7 @@ def _asked(
     names: Sequence[str],
     traces: Sequence[Trace],
     equations: tuple[Relation, ...],
-    ended: Result | None,
+    ended: Result,
 ) -> list[Judged]:
     """What was asked of every signal, from which size on it shows, or why it was not."""
     related, units = names_of(equations), units_of(traces)
@@ -511,9 +488,9 @@ def _asked(
 
 
 def _shared(
-    equations: tuple[Relation, ...], traces: Sequence[Trace], fast: tuple[Relation, ...]
+    equations: Sequence[Relation], traces: Sequence[Trace], resolved: Sequence[Relation]
 ) -> tuple[str, ...]:
-    """What no kinematics can tell, in sentences; ``fast`` are those sampled too seldom."""
+    """What no kinematics can tell, in sentences; others than the ``resolved`` tell nothing."""
     units, related = units_of(traces), names_of(equations)
     alone = ", ".join(n for n in units if n not in related)
     targets = ", ".join(r.target for r in equations if r.is_rate)
@@ -527,12 +504,18 @@ def _shared(
         (positions, "A bias of an attitude angle against a misalignment of the velocities."),
         (positions, "At a single speed: a bias of a velocity against its scale."),
         (len(positions) > 1, "On straight runs: a current against a bias of the velocities."),
-        *((True, f"Whether {r}: too few samples, {r.target} moves between them.") for r in fast),
     ]
-    return tuple(text for holds, text in told if holds)
+    return (
+        *(text for holds, text in told if holds),
+        *(
+            f"Whether {one}: too few samples, {one.target} moves between them."
+            for one in equations
+            if one not in resolved
+        ),
+    )
 
 
-def _either(equations: tuple[Relation, ...], units: Mapping[str, str]) -> Iterator[str]:
+def _either(equations: Sequence[Relation], units: Mapping[str, str]) -> Iterator[str]:
     """What an angle and its rate alone cannot tell, unless others depend on the angle."""
     inner = {n for r in equations for n in r.signals}
     for relation in equations:

@@ -184,11 +184,8 @@ def claim(
         needed - spared,
         study.own_error(before),
         study.own_error(after),
-        allowed_rise(after),
-        independent=share,
-        models=models,
-        spared=spared,
-    )
+        allowed=allowed_rise(after), independent=share, models=models, spared=spared,
+    )  # fmt: skip
     if not (effects and found.excess > 0.0):
         return found
     found = _bounded(study, after, effects, found)
@@ -220,7 +217,7 @@ def _bounded(
 ) -> Claim:
     """A claim with the bounds at which its effects end."""
     # An optimum at infinity, such as the lag of a sensor that stands still, is no size.
-    large = _amplitudes(after, effects, _runs_away)
+    large = _amplitudes(after, effects, lambda p, value: abs(value) > UNSEEN * p.magnitude)
     if endless := tuple(name for name in large if not _is_shown(after, name)):
         return replace(found, bounds=endless, beyond=np.inf)
     bounds = at_bounds(after, effects)
@@ -261,11 +258,6 @@ def _beyond(study: Study, fit: FilteredSolution, bounds: Sequence[str]) -> float
 def at_bounds(fit: FilteredSolution, effects: Sequence[Effect]) -> tuple[str, ...]:
     """Amplitudes that end at a bound other than nothing."""
     return _amplitudes(fit, effects, rests)
-
-
-def _runs_away(parameter: Parameter, value: float) -> bool:
-    """Whether a value is beyond any that a size of this kind may have."""
-    return abs(value) > UNSEEN * parameter.magnitude
 
 
 def _is_shown(fit: FilteredSolution, name: str) -> bool:

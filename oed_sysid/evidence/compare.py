@@ -23,6 +23,7 @@ from oed_sysid.evidence.locate import Located, likeliest, locate
 from oed_sysid.evidence.misfit import OutputMisfit, output_misfit
 from oed_sysid.evidence.rank import Ranking, rank
 from oed_sysid.evidence.result import LogCheck
+from oed_sysid.evidence.sentences import SAYS, say
 from oed_sysid.evidence.study import Study, total_error
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.between_records import WORTH_TELLING
@@ -75,10 +76,8 @@ class ModelMisfit:
         """Return the misfit by output, and of forecasts, as a part of a document."""
         ahead, words = self.forecasts, []
         if ahead.n_forecasts:
-            words.append(
-                f"{ahead.horizon:g} s ahead: {display.digits(ahead.overall, 3)} x what a right "
-                f"model would leave ({ahead.n_forecasts} forecasts)"
-            )
+            facts = {"size": display.digits(ahead.overall, 3), "count": ahead.n_forecasts}
+            words.append(say("compared", "ahead", horizon=ahead.horizon, **facts))
         if ahead.failed:
             words.append(f"{ahead.failed} of the forecasts diverged.")
         title = f"{self.label}: {self.relative:.3g} × noise over all outputs"
@@ -175,25 +174,19 @@ class Comparison:
     ) -> display.Report:
         """Return what the comparison says: misfit by output, and predictions."""
         names = self.dataset.names
-        way = (
-            "independent tests: motion and inputs are given, their order says nothing"
-            if self.dataset.only_tests
-            else f"initial states: {WAYS[self.models[0].prediction.way]}"
-        )
-        bars = display.Figure(
-            "plot_comparison", self,
-            "Root mean square error of each output in units of its noise; whiskers show the best "
-            "and the worst record. At the line the error is as large as noise alone.",
-            size=(8.4, 3.8),
-        )  # fmt: skip
+        way = f"initial states: {WAYS[self.models[0].prediction.way]}"
+        if self.dataset.only_tests:
+            way = SAYS["compared"]["tests"]
+        caption = SAYS["captions"]["plot_comparison"]
+        bars = display.Figure("plot_comparison", self, caption, size=(8.4, 3.8))
+        labels = {"labels": [part.label for part in self.models]}
+        predictions = [part.prediction for part in self.models]
         drawings = [
             display.Figure(
-                "figure_predictions", [part.prediction for part in self.models],
-                f"{name}: dots are measured; bands hold 95 % of new measurements if the model is "
-                "right. Right: errors in units of the noise, whose 95 % band is grey.",
-                (name,), {"labels": [part.label for part in self.models]},
+                "figure_predictions", predictions, say("captions", "figure_predictions", record=n),
+                (n,), labels,
             )
-            for name in names[:MOST_DRAWN]
+            for n in names[:MOST_DRAWN]
         ]  # fmt: skip
         rest = len(self.dataset) - len(drawings)
         words = (f"{rest} further records are not drawn.",) if rest else ()
@@ -372,18 +365,15 @@ def _levels(given: Sequence[Fit | Model], dataset: Dataset) -> tuple[np.ndarray,
     if not unknown.any():
         return sigma, ()
     if not fits:
-        which = ", ".join(names[unknown])
-        note = f"the noise of {which} was taken from the high-frequency content of the records."
+        note = say("compared", "assumed", names=", ".join(names[unknown]))
         return np.where(unknown, floor, sigma), (note,)
     # A sensor's noise is all of it, white and coloured.
     sigma = np.where(unknown, np.min([fit.noise.sensors for fit in fits], axis=0), sigma)
-    notes = tuple(
-        f"the noise of {name} was estimated by a fit as {level:.2g}, while its high-frequency "
-        f"content shows {low:.2g}: part of what counts as noise may be misfit."
-        for name, level, low, open_ in zip(names, sigma, floor, unknown, strict=True)
-        if open_ and level > WORTH_TELLING * low
+    high = unknown & (sigma > WORTH_TELLING * floor)
+    told = zip(names[high], sigma[high], floor[high], strict=True)
+    return sigma, tuple(
+        say("compared", "estimated", name=name, level=level, low=low) for name, level, low in told
     )
-    return sigma, notes
 
 
 def _labels(models: Sequence[Model]) -> tuple[str, ...]:

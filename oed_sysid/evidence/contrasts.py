@@ -485,126 +485,123 @@ def contrasts(
     factors = factors or {}
     motion = Motion(trace, relations)
     every = {k: SHAPES[f.kind](f, motion) for k, f in enumerate(faults) if motion.has(f)}
-    for index, right in motion.right.items():
-        relation = relations[index]
+    for index, relation in motion.known.items():
         shapes = {k: shape for k, shape in every.items() if shape.keys() & {*relation.names}}
-        slopes = _slopes(relation, motion, set().union(*shapes.values()))
-        inner = {n: motion.raw[n] for n in relation.signals}
-        target, zero = trace.values[relation.target], np.zeros(trace.times.size)
-        # Residual, left side, sampling, candidates, what begins anywhere: each a left side less an
-        # integral.
-        jumps, *unsure = _between_samples(relation, motion, slopes, right)
-        pairs = [(target - jumps, right), *((one, zero) for one in (target, *unsure))]
-        for shape in shapes.values():
-            own = {n: shape[n] for n in slopes.keys() & shape.keys()}
-            change = relation.along(inner, trace.times, own)
-            pairs.append((shape.get(relation.target, zero), change))
-        begun = [*_begun_anywhere(relation, motion, slopes, (len(faults), places))]
-        pairs += [(one.left, one.inside) for one in begun]
+        side = Side(motion, index, set().union(*shapes.values()))
+        begun = [*side.anywhere(len(faults), places)]
+        pairs = [*side.pairs(shapes.values()), *((one.left, one.inside) for one in begun)]
         left, inside = (np.column_stack(one) for one in zip(*pairs, strict=True))
-        factor, named = factors.get(relation.target, 1.0), ([*shapes], begun)
-        yield from _pieces(trace, (index, relation), (left, inside), named, slopes, factor)
+        factor = factors.get(relation.target, 1.0)
+        yield from side.pieces(left, inside, [*shapes], begun, factor)
 
 
-def _between_samples(
-    relation: Relation, motion: Motion, slopes: Mapping[str, np.ndarray], right: np.ndarray
-) -> np.ndarray:
-    """What motion between samples changes of an integral, and what is not known of it."""
-    times = motion.trace.times
-    # By the chain rule, of what the nominal model says just before and just after each sample.
-    known, (before, after) = (
-        sum((slopes[n] * one[n] for n in slopes if n in one), np.zeros((2, times.size)))
-        for one in motion.sides
-    )
-    return relation.sampled(times, right, known, after - before) * relation.is_rate
+class Side:
+    """One equation in one record.
 
+    ``inner`` are the signals of its right side, ``slopes`` the derivatives of that by those that a
+    fault touches, that have noise or move, ``(n_times,)`` each.
+    """
 
-def _begun_anywhere(
-    relation: Relation,
-    motion: Motion,
-    slopes: Mapping[str, np.ndarray],
-    numbered: tuple[int, Sequence[Candidate]],
-) -> Iterator[Anywhere]:
-    """What may begin at any place of a record and shows in an equation; numbered from a first."""
-    times, zero, (number, places) = motion.trace.times, 0.0 * motion.elapsed, numbered
-    begins = times[0] + PLACED * motion.elapsed[-1]
-    for k in range(0, len(places), PLACED.size):
-        one, (name,), first = places[k], places[k].signals, number + k
-        if one.record != motion.trace.name:
-            continue
-        lasts = motion.elapsed[-1] / PLACES if one.kind == "burst" else np.inf
-        level = float(one.kind in ("step", "burst") and name == relation.target)
-        if one.kind == "drift" and name == relation.target:
-            yield Anywhere(first, begins, begins + lasts, level, motion.elapsed, zero)
-        elif one.kind != "drift" and (level or name in slopes):
-            own = motion.raw.get(logged(name), motion.raw[name]) if one.kind == "lost" else 1.0
-            inside = own * slopes.get(name, zero)
-            yield Anywhere(first, begins, begins + lasts, level, zero, inside)
+    def __init__(self, motion: Motion, index: int, touched: set[str]) -> None:
+        self.motion, self.index, self.relation = motion, index, motion.known[index]
+        trace, self.inner = motion.trace, {n: motion.raw[n] for n in self.relation.signals}
+        asked, moving = touched & {*(self.relation.asked or self.inner)}, motion.sides[0]
+        names = (n for n in self.inner if n in asked or trace.noise[n] > 0.0 or n in moving)
+        self.slopes = {n: self.relation.slope(self.inner, trace.times, n) for n in names}
 
-
-def _slopes(relation: Relation, motion: Motion, touched: set[str]) -> dict[str, np.ndarray]:
-    """Derivatives of a right side by signals that a fault touches, that have noise or move."""
-    inner, trace = {n: motion.raw[n] for n in relation.signals}, motion.trace
-    asked = touched & {*(relation.asked or inner)}
-    moving = motion.sides[0]
-    names = (n for n in inner if n in asked or trace.noise[n] > 0.0 or n in moving)
-    return {n: relation.slope(inner, trace.times, n) for n in names}
-
-
-def _pieces(
-    trace: Trace,
-    numbered: tuple[int, Relation],
-    columns: tuple[np.ndarray, np.ndarray],
-    named: tuple[Sequence[int], Sequence[Anywhere]],
-    slopes: Mapping[str, np.ndarray],
-    factor: float,
-) -> Iterator[Piece]:
-    """Contrasts over each uninterrupted piece, as cosine coefficients of block means."""
-    (index, relation), (left, inside), (shaped, begun) = numbered, columns, named
-    rated = relation.is_rate
-    power = {name: trace.noise[name] ** 2 * _spacing(trace, name) for name in slopes}
-    used = np.array([*shaped, *(one.first + k for one in begun for k in range(PLACED.size))], int)
-    for piece in trace.pieces(trace.usable(relation.signals), LEAST):
-        times = trace.times[piece]
-        rows = np.flatnonzero(np.isfinite(left[piece, 0]))
-        # Means of blocks: what is fast tells no constant error, and long records stay cheap.
-        group = max(1, -(-rows.size // MOST_BLOCKS))
-        n = rows.size // group
-        if n < LEAST:
-            continue
-        rows = rows[: n * group]
-        sums = relation.integral(times, inside[piece]) if rated else inside[piece]
-        # Left side less integral of the right: zero but for noise, and for what is wrong.
-        whole = (left[piece] - sums)[rows]
-        means = factor * whole.reshape(n, group, -1).mean(axis=1)
-        middle = times[rows].reshape(n, group).mean(axis=1)
-        grown = zip(begun, means[:, 4 + len(shaped) :].T, strict=True)
-        placed = [one.columns(middle, series, rated=rated) for one, series in grown]
-        # The constant is left out: an integral is known up to where it began.
-        waves = dct(np.hstack([means[:, : 4 + len(shaped)], *placed]), axis=0, norm="ortho")[1:]
-        if not waves[:, :2].any():  # a constant says nothing
-            continue
-        span = float(times[-1] - times[0]) / n
-        walks = {name: float(np.mean(slopes[name][piece] ** 2)) * p for name, p in power.items()}
-        total = sum(walks.values())
-        shares = {name: walk / total if total else 0.0 for name, walk in walks.items()}
-        yield Piece(
-            relation=index,
-            record=trace.name,
-            times=middle,
-            residual=waves[:, 0],
-            target=waves[:, 1],
-            sampled=waves[:, 2:4],
-            columns=waves[:, 4:],
-            used=used,
-            span=span,
-            group=group,
-            walk=factor**2 * total * (span if rated else 0.0),
-            level=factor * trace.noise[relation.target] / np.sqrt(group),
-            shares={**shares, relation.target: -1.0},
-            forced=bool(relation.driven),
-            is_rate=rated,
+    def pairs(
+        self, shapes: Iterable[Mapping[str, np.ndarray]]
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Residual, left side, sampling and candidates: each a left side less an integral."""
+        motion, relation, times = self.motion, self.relation, self.motion.trace.times
+        target, right = motion.trace.values[relation.target], motion.right[self.index]
+        # By the chain rule, of what the nominal model says just before and just after each sample.
+        known, (before, after) = (
+            sum(
+                (self.slopes[n] * one[n] for n in self.slopes if n in one),
+                np.zeros((2, times.size)),
+            )
+            for one in motion.sides
         )
+        # What motion between samples changes of an integral, and what is not known of it.
+        sampled = relation.sampled(times, right, known, after - before) * relation.is_rate
+        zero = np.zeros(times.size)
+        yield target - sampled[0], right
+        yield from ((one, zero) for one in (target, *sampled[1:]))
+        for shape in shapes:
+            own = {n: shape[n] for n in self.slopes.keys() & shape.keys()}
+            yield shape.get(relation.target, zero), relation.along(self.inner, times, own)
+
+    def anywhere(self, number: int, places: Sequence[Candidate]) -> Iterator[Anywhere]:
+        """What may begin at any place of the record and shows here; candidates from a number on."""
+        motion, times, zero = self.motion, self.motion.trace.times, 0.0 * self.motion.elapsed
+        begins = times[0] + PLACED * motion.elapsed[-1]
+        for k in range(0, len(places), PLACED.size):
+            one, (name,), first = places[k], places[k].signals, number + k
+            if one.record != motion.trace.name:
+                continue
+            lasts = motion.elapsed[-1] / PLACES if one.kind == "burst" else np.inf
+            level = float(one.kind in ("step", "burst") and name == self.relation.target)
+            if one.kind == "drift" and name == self.relation.target:
+                yield Anywhere(first, begins, begins + lasts, level, motion.elapsed, zero)
+            elif one.kind != "drift" and (level or name in self.slopes):
+                own = motion.raw.get(logged(name), motion.raw[name]) if one.kind == "lost" else 1.0
+                inside = own * self.slopes.get(name, zero)
+                yield Anywhere(first, begins, begins + lasts, level, zero, inside)
+
+    def pieces(
+        self,
+        left: np.ndarray,
+        inside: np.ndarray,
+        shaped: Sequence[int],
+        begun: Sequence[Anywhere],
+        factor: float,
+    ) -> Iterator[Piece]:
+        """Contrasts over each uninterrupted piece, as cosine coefficients of block means."""
+        relation, rated, trace = self.relation, self.relation.is_rate, self.motion.trace
+        power = {name: trace.noise[name] ** 2 * _spacing(trace, name) for name in self.slopes}
+        used = np.array([*shaped, *(o.first + k for o in begun for k in range(PLACED.size))], int)
+        for piece in trace.pieces(trace.usable(relation.signals), LEAST):
+            times = trace.times[piece]
+            rows = np.flatnonzero(np.isfinite(left[piece, 0]))
+            # Means of blocks: what is fast tells no constant error, and long records stay cheap.
+            group = max(1, -(-rows.size // MOST_BLOCKS))
+            n = rows.size // group
+            if n < LEAST:
+                continue
+            rows = rows[: n * group]
+            sums = relation.integral(times, inside[piece]) if rated else inside[piece]
+            # Left side less integral of the right: zero but for noise, and for what is wrong.
+            whole = (left[piece] - sums)[rows]
+            means = factor * whole.reshape(n, group, -1).mean(axis=1)
+            middle = times[rows].reshape(n, group).mean(axis=1)
+            grown = zip(begun, means[:, 4 + len(shaped) :].T, strict=True)
+            placed = [one.columns(middle, series, rated=rated) for one, series in grown]
+            # The constant is left out: an integral is known up to where it began.
+            waves = dct(np.hstack([means[:, : 4 + len(shaped)], *placed]), axis=0, norm="ortho")[1:]
+            if not waves[:, :2].any():  # a constant says nothing
+                continue
+            span = float(times[-1] - times[0]) / n
+            walks = {k: float(np.mean(self.slopes[k][piece] ** 2)) * p for k, p in power.items()}
+            total = sum(walks.values())
+            shares = {name: walk / total if total else 0.0 for name, walk in walks.items()}
+            yield Piece(
+                relation=self.index,
+                record=trace.name,
+                times=middle,
+                residual=waves[:, 0],
+                target=waves[:, 1],
+                sampled=waves[:, 2:4],
+                columns=waves[:, 4:],
+                used=used,
+                span=span,
+                group=group,
+                walk=factor**2 * total * (span if rated else 0.0),
+                level=factor * trace.noise[relation.target] / np.sqrt(group),
+                shares={**shares, relation.target: -1.0},
+                forced=bool(relation.driven),
+                is_rate=rated,
+            )
 
 
 def _spacing(trace: Trace, name: str) -> float:

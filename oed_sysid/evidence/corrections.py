@@ -14,6 +14,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.relations import Relation, names_of, relations
 from oed_sysid.evidence.result import Correction, Finding, LogCheck, is_a
+from oed_sysid.evidence.sentences import say
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.likelihood.noise_levels import first_order
@@ -287,16 +288,13 @@ def as_measured(dataset: Dataset, found: LogCheck) -> tuple[Dataset, tuple[str, 
     left_out : tuple of str
     """
     here = {*dataset.names}
-    told = (one for one in found.findings if is_a(one.kind, "made") and here & {*one.records})
-    made = [one for one in told if one.correction]  # inputs stay: a run needs all of them
+    told = ((fix, one) for fix, one in _undoable(found) if is_a(one.kind, "made"))
+    made = [(fix, one) for fix, one in told if here & {*one.records}]
     if not made:
         return dataset, ()
-    words = tuple(
-        f"{', '.join(one.signals)} was measured every {one.size:.3g} s: samples in between are "
-        "left empty here, they hold nothing that was measured."
-        for one in made
-    )
-    return corrected(dataset, [one.correction for one in made if one.correction]), words
+    facts = ({"names": ", ".join(one.signals), "size": one.size} for _, one in made)
+    words = tuple(say("log", "measured", **each) for each in facts)
+    return corrected(dataset, [fix for fix, _ in made]), words
 
 
 def _undoable(found: LogCheck) -> Iterable[tuple[Correction, Finding]]:
@@ -329,8 +327,5 @@ def why_not_more(found: LogCheck) -> str:
         return ""
     left = [one.name for fix, one in _undoable(found) if fix.kind != "blank"]
     what = f"{', '.join(left)} is left as logged" if left else "nothing but bad samples is changed"
-    return (
-        f"{what}: with all findings undone an equation of {still.signals[0]} still leaves "
-        f"{100.0 * (still.size or 0.0):.0f} % unexplained, so that no correction can be relied on; "
-        "mend that first"
-    )
+    size = 100.0 * (still.size or 0.0)
+    return say("log", "doubtful", what=what, target=still.signals[0], left=size)

@@ -57,6 +57,7 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.chance import FALSE_CLAIMS
 from oed_sysid.evidence.compare import Comparison
+from oed_sysid.evidence.sentences import SAYS, say
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text
 
 # Partial coherence from which a record tells of a response: with ten windows the random error is
@@ -146,7 +147,7 @@ def frequency_response(
         If records are independent tests, no input moves, or too few windows are at hand.
     """
     if dataset.only_tests:
-        raise DataError("Independent tests have no frequency response. Give records of motion.")
+        raise DataError(SAYS["refused"]["tests"])
     step = float(np.median([record.sample_time for record in dataset]))
     moving, seen = _signals(dataset)
     n_inputs = len(moving)
@@ -160,10 +161,8 @@ def frequency_response(
     count = sum(own for _, own in used.values())
     averages = _independent(count, size)
     if averages <= n_inputs + 1.0:
-        raise DataError(
-            f"{averages:.1f} independent windows of {size * step:.3g} s cannot tell {n_inputs} "
-            "input(s) apart. Give a shorter window or longer records."
-        )
+        facts = {"averages": averages, "size": size * step, "inputs": n_inputs}
+        raise DataError(say("refused", "windows", **facts))
     # Neither the mean, which the trend takes, nor half the sampling rate, where spectra are real.
     kept = slice(1, (size + 1) // 2)
     total = np.sum([own * part for part, own in used.values()], axis=0)
@@ -196,10 +195,7 @@ def _signals(dataset: Dataset) -> tuple[list[int], list[int]]:
         if all(np.isfinite(record.output(name)).sum() > 1 for record in dataset)
     ]
     if not moving or not seen:
-        raise DataError(
-            "No input moves or no output was measured in every record: there is no frequency "
-            "response. Give records in which an input moves."
-        )
+        raise DataError(SAYS["refused"]["still"])
     return moving, seen
 
 
@@ -379,11 +375,9 @@ class FrequencyComparison:
         # Of verdicts that alternate the reader wants the extent, the share and the worst.
         worst = max(missed, key=lambda band: abs(np.log(band.ratio) + 1j * band.phase))
         n, total = sum(band.count for band in spans), sum(band.count for band in told)
-        return (
-            f"{head}holds at {n} of {total} frequencies that the records tell of, "
-            f"{told[0].low:.3g} to {told[-1].high:.3g} Hz; most off over {_spans([worst])} "
-            f"({', '.join(_apart(worst))} deg)."
-        )
+        facts = {"count": n, "total": total, "low": told[0].low, "high": told[-1].high}
+        off = {"worst": _spans([worst]), "apart": ", ".join(_apart(worst))}
+        return head + say("compared", "alternates", **facts, **off)
 
     def section(self) -> Section:
         """Return the comparison as a part of a document."""
@@ -394,23 +388,13 @@ class FrequencyComparison:
             if one.verdict != UNTOLD
         ]  # fmt: skip
         record = self.record
-        words = (
-            f"{record.averages:.3g} independent windows of {record.window:.3g} s; a response is "
-            f"judged where its partial coherence is at least {TOLD:g}. Where a helmsman answers "
-            "what is measured, disturbances draw the records' responses towards minus the inverse "
-            "of the controller.",
-            *self.verdict,
-        )
+        facts = {"averages": record.averages, "window": record.window, "told": TOLD}
+        words = (say("compared", "windows", **facts), *self.verdict)
         heads = ("model", "response", "band [Hz]", "verdict", "magnitude", "phase [deg]")
         drawn = [
-            Figure(
-                "figure_frequency", self,
-                f"{name}: dots are the records' response with its 95 % random error, lines the "
-                "models' runs. Shaded: the records tell nothing.",
-                (name,),
-            )
-            for name in record.outputs
-        ]  # fmt: skip
+            Figure("figure_frequency", self, say("captions", "figure_frequency", output=n), (n,))
+            for n in record.outputs
+        ]
         tables = (Table(heads, rows, words=(1, 3)),) if rows else ()
         return Section("Frequency responses", words, tables, drawn, heading=True, indent=2)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any
@@ -394,18 +394,14 @@ class Improvement:
         verdict, kind = self.verdict, self.remains.kind
         detail = "open" if verdict == "missing" and kind in OPEN else kind
         effects = (f"{in_words(step.effect, self.base)} ({step.added})" for step in self.steps)
-        rows = SAYS["answer"]
-        return rows.get(f"{verdict}, {detail}", rows[verdict]).format(
-            model=self.base.name,
-            effects=" and ".join(effects),
-            them="it" if len(self.steps) == 1 else "them",
-            records=records,
+        row = f"{verdict}, {detail}"
+        return say(
+            "answer", row if row in SAYS["answer"] else verdict,
+            model=self.base.name, effects=" and ".join(effects), records=records, kind=kind,
+            them="it" if len(self.steps) == 1 else "them", error=before, after=after,
             goes="falls" if after < before else "does not fall: it goes",
-            error=before,
-            after=after,
             size=f" ({self.remains.size})" * bool(self.remains.size),
-            kind=kind,
-        )
+        )  # fmt: skip
 
     def _story(self) -> display.Section:
         """The steps, or why there is none, and what the training records alone would have said."""
@@ -443,20 +439,12 @@ class Improvement:
     def _glance(self, train: Dataset | None) -> display.Section:
         """What was found, in two pictures; on a page."""
         half = 5.6, 3.6  # inches, of one of two pictures beside each other
-        figures = [
-            display.Figure(
-                "plot_error_fall", self,
-                "Prediction error over whole records, in units of the noise. A right model has "
-                "one.", size=half,
-            )
-        ]  # fmt: skip
+        caption = SAYS["captions"]["plot_error_fall"]
+        figures = [display.Figure("plot_error_fall", self, caption, size=half)]
         if train is not None and self.location.forces:
-            words = "The force that the nominal model lacks against the motion that shows it best"
-            if self.steps:
-                words += ", and what the effect that was found would leave there"
-            figures.append(
-                display.Figure("plot_force_found", self, f"{words}.", (train,), size=half)
-            )
+            leaves = ", and what the effect that was found would leave there" * bool(self.steps)
+            caption = say("captions", "plot_force_found", leaves=leaves)
+            figures.append(display.Figure("plot_force_found", self, caption, (train,), size=half))
         return display.Section(
             "At a glance", [*self._meanings()], figures=figures, only="page", beside=True
         )
@@ -465,9 +453,8 @@ class Improvement:
         """What the effects added are, in words with their formulas, and how large."""
         sizes = {row["name"]: row for row in self.parameters}
         for step in self.steps:
-            own = (_size(sizes[p.name], p) for p in step.effect.parameters if p.name in sizes)
-            words = in_words(step.effect, self.base)
-            yield f"{step.added}: {'; '.join((words, *own, *_sizes(step)))}."
+            parts = (in_words(step.effect, self.base), *_shown(step, sizes))
+            yield f"{step.added}: {'; '.join(parts)}."
 
     def _estimates(self) -> display.Section:
         """Estimates after the last step, beside those without the effects; on a page."""
@@ -577,7 +564,7 @@ def _judged(
 ) -> tuple[list[str], list[str]]:
     """What one step claims, perhaps with sizes, and what is not to be believed."""
     own = [(estimates[p.name], p) for p in step.effect.parameters if p.name in estimates]
-    shown = ", ".join((*(_size(*one) for one in own), *_sizes(step)))
+    shown = ", ".join(_shown(step, estimates))
     unknown = ", ".join(p.name for row, p in own if not _is_told(row, p))
     rivals, predicted = step.group[1:], step.claim.validation
     # Correlated residuals widen the interval after a claim.
@@ -653,9 +640,11 @@ def _size(row: Mapping[str, Any], parameter: Parameter) -> str:
     return f"{name} = {size}{unit} (95 %)"
 
 
-def _sizes(step: Any) -> Iterable[str]:
-    """The ranges of sizes that differ from record to record."""
-    for parameter in step.effect.parameters:
+def _shown(step: Any, estimates: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """The sizes of an effect, and the ranges of those that differ from record to record."""
+    own = step.effect.parameters
+    yield from (_size(estimates[p.name], p) for p in own if p.name in estimates)
+    for parameter in own:
         if parameter.per_record:
             name = parameter.name
             found = [local[name] for local in step.fit.local_values if name in local]

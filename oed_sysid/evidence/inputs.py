@@ -29,6 +29,7 @@ sample; a record in which they do not is left out of the judgement.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import combinations, product
@@ -57,6 +58,7 @@ from oed_sysid.evidence.readings import diagnosed
 from oed_sysid.evidence.relations import LEAST_PRIOR, READINGS, Relation
 from oed_sysid.evidence.result import Correction, Finding, Judged
 from oed_sysid.evidence.screens import Fault, marked, screen
+from oed_sysid.evidence.sentences import SAYS, say
 from oed_sysid.evidence.traces import Trace, fast_noise
 from oed_sysid.evidence.words import Log, judged_row, said, screened_inputs
 from oed_sysid.likelihood.between_records import WORTH_TELLING
@@ -183,17 +185,14 @@ def input_findings(
     # What the motion says of an input holds what its range says.
     named = set().union(*(one.signals for one in findings))
     findings += [one for one in beyond if named.isdisjoint(one.signals)]
-    untimed = f"{', '.join(derived)} is smoothed from what was measured, and tells no moments"
-    return (
-        [*repeated, *findings],
-        [
-            Judged(kind, one.name, "not tested", untimed)
-            if derived and kind in ("delay", "step")
-            else judged_row(kind, one.name, one.unit, ended)
-            for one, kind in asked
-        ],
-        "",
-    )
+    untimed = say("log", "untimed", names=", ".join(derived))
+    rows = [
+        Judged(kind, one.name, "not tested", untimed)
+        if derived and kind in ("delay", "step")
+        else judged_row(kind, one.name, one.unit, ended)
+        for one, kind in asked
+    ]
+    return [*repeated, *findings], rows, ""
 
 
 def _repeated(dataset: Dataset, model: Model) -> tuple[list[Fault], list[Trace]]:
@@ -341,18 +340,13 @@ def _traces(
     With the names of states that no sensor shows in some record.
     """
     if all(p.prior_std is None for p in model.free_parameters):
-        return (
-            "no parameter of the model has a declared prior (prior_mean, prior_std) to hold "
-            "them against"
-        )
+        return SAYS["log"]["no priors"]
     known = [fix for fix in fixes if fix.kind in ORDER]
-    states = "not all states of the model are measured, or follow from those that are"
-    try:
+    with suppress(OedSysidError):
         mended = corrected(dataset, known) if known else dataset
-        found = [one for record in mended for one in _trace(record, model)]
-    except OedSysidError:
-        return states
-    return (found, _derived(mended, model)) if found else states
+        if found := [one for record in mended for one in _trace(record, model)]:
+            return found, _derived(mended, model)
+    return SAYS["log"]["no states"]
 
 
 def _derived(dataset: Dataset, model: Model) -> list[str]:

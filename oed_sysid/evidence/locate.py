@@ -157,25 +157,14 @@ class Located:
     report = as_text
 
     def _figures(self, train: Dataset | None) -> list[Figure]:
-        drawings = [
-            Figure(
-                "plot_located", self,
-                "How far a disturbance at each place of the signal chain is behind the best one in "
-                "explaining what is left. Within the grey band the records cannot tell them apart; "
-                "the last row is no disturbance at all.",
-                size=(7.6, 1.3 + 0.3 * min(len(self.gains), 14)),
-            )
-        ]  # fmt: skip
+        caption, size = (
+            SAYS["captions"]["plot_located"],
+            (7.6, 1.3 + 0.3 * min(len(self.gains), 14)),
+        )
+        drawings = [Figure("plot_located", self, SAYS["captions"]["plot_located"], size=size)]
         if self.best is not None and train is not None and self.force_names:
-            drawings.append(
-                Figure(
-                    "figure_force", self,
-                    f"Residual force of the {self.equation} equation: over time with its 95 % "
-                    "band, and against measured signals and commands (points: means with 95 % "
-                    "intervals). A curve that repeats itself is a law that the model lacks.",
-                    (self.equation, train),
-                )
-            )  # fmt: skip
+            caption = say("captions", "figure_force", equation=self.equation)
+            drawings.append(Figure("figure_force", self, caption, (self.equation, train)))
         return drawings
 
     to_dict = as_dict(

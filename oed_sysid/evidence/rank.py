@@ -18,7 +18,7 @@ import numpy as np
 from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.claim import Claim, at_bounds, joined
 from oed_sysid.evidence.score import SIZES, Score, scores, two_sided
-from oed_sysid.evidence.sentences import say
+from oed_sysid.evidence.sentences import SAYS, say
 from oed_sysid.evidence.study import Study, likelier, usual
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.fit import ALIKE, MOST_DRAWN
@@ -169,12 +169,8 @@ class Ranking:
 
         What they cannot show beside the nominal model they may show beside a better one.
         """
-        drawing = Figure(
-            "plot_ranking", self,
-            "The candidates in the first round. The score is computed without refitting; the most "
-            "promising candidates are then refitted.",
-            size=(8.4, 5.2),
-        )  # fmt: skip
+        caption = SAYS["captions"]["plot_ranking"]
+        drawing = Figure("plot_ranking", self, caption, size=(8.4, 5.2))
         imitated, seen = self.imitated(), self.undetectable()
         untold = {"hidden": sorted({*seen} - {*imitated}), "imitated": imitated}
         told = (["", say("ranking", row, names=", ".join(of))] for row, of in untold.items() if of)

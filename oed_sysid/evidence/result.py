@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.evidence.sentences import SAYS
 from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.runtime import display
 from oed_sysid.runtime.display import Figure, Section, Table, as_dict, counted, share
@@ -293,12 +294,9 @@ class LogCheck:
             names = "; ".join(finding.name for finding in self.serious)
             return f"Log suspect: {counted(len(self.serious), 'finding')} ({names})."
         if not self.relations:
-            return (
-                "Nothing wrong was seen in single signals; no equation of a problem relates them."
-            )
-        open_ones = self.not_tested
-        if open_ones:
-            names = "; ".join(f"{kind} of {', '.join(of)}" for kind, of in open_ones.items())
+            return SAYS["log"]["unrelated"]
+        names = "; ".join(f"{kind} of {', '.join(of)}" for kind, of in self.not_tested.items())
+        if names:
             return f"The signals agree as far as they could be tested. Not tested: {names}."
         return "The signals agree with each other."
 
@@ -389,30 +387,15 @@ class LogCheck:
         for (signal, why), faults in untold.items():
             alike.setdefault((", ".join(faults), why), []).append(signal)
         reasons = [f"{what} of {', '.join(of)}: {why}" for (what, why), of in alike.items()]
-        table = Table(
-            ("signal", *kinds), rows,
-            caption="The least size that would have been seen; FOUND; or a dash where it could "
-            "not be tested.",
-        )  # fmt: skip
+        table = Table(("signal", *kinds), rows, caption=SAYS["captions"]["judged"])
         return [Section("What was tested", reasons, tables=(table,), heading=True, indent=5)]
 
     def _figures(self) -> list[Figure]:
         if not self.balances:
             return []
-        return [
-            Figure(
-                "plot_balances", self,
-                "How much of the changes of each left side the other signals do not explain, over "
-                "blocks of about a second; at the dotted line they explain nothing. Noise alone "
-                "leaves something, too.",
-                size=(7.0, 1.5 + 0.5 * len(self.balances)),
-            ),
-            Figure(
-                "figure_check", self,
-                "Each signal minus the integral of the others. With sensors that agree this is "
-                "noise around a constant, or a slow random walk; a fault has a shape.",
-            ),
-        ]  # fmt: skip
+        captions, size = SAYS["captions"], (7.0, 1.5 + 0.5 * len(self.balances))
+        balances = Figure("plot_balances", self, captions["plot_balances"], size=size)
+        return [balances, Figure("figure_check", self, captions["figure_check"])]
 
     to_dict = as_dict(
         "verdict", "suspect", "records", "findings", "judged", "unchecked",

@@ -31,6 +31,7 @@ import numpy as np
 from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, SimulationError
+from oed_sysid.evidence.sentences import say
 from oed_sysid.likelihood.departures import smoothed_inputs
 from oed_sysid.likelihood.disturbances import Place, chosen_places, commands, disturbance
 from oed_sysid.likelihood.disturbances import places as every_place
@@ -179,10 +180,7 @@ class Study:
         setting = replace(setting, kernel=narrow)
         best, unit = _disturbed(setting, white)
         if best is None:
-            raise SimulationError(
-                f"Model {model.name!r} diverges on the training records from every start that was "
-                "tried. Check signs and units of its values, or bound its parameters."
-            )
+            raise SimulationError(say("refused", "diverges", model=model.name))
         study = cls(
             base=model,
             candidates=effects,
@@ -524,11 +522,8 @@ def _declared(model: Model, *, known: bool) -> np.ndarray:
     """Declared levels of the sensors, ``(n_outputs,)``; NaN where nobody declared one."""
     levels = given_levels(model.outputs)
     if known and not np.all(np.isfinite(levels)):
-        unknown = [o.name for o in model.outputs if o.noise_std is None]
-        raise DataError(
-            f"The noise of {', '.join(unknown)} is not declared, so it cannot be taken as "
-            "known. Set noise_std on these outputs, or let the noise be estimated."
-        )
+        unknown = ", ".join(o.name for o in model.outputs if o.noise_std is None)
+        raise DataError(say("refused", "noise", names=unknown))
     return levels
 
 
@@ -539,10 +534,7 @@ def _disturbed_places(
     try:
         places = chosen_places(model, "all")
     except ModelError as error:
-        raise ModelError(
-            f"Model {model.name!r} has no equation with a parameter in which physics could be "
-            "missing."
-        ) from error
+        raise ModelError(say("refused", "equations", model=model.name)) from error
     asked = forces_in(disturbances)
     acting = () if asked == "none" else chosen_places(model, asked)
     absent = [place.name for place in places if place not in acting]

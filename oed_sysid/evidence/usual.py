@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from math import ceil, prod
 from typing import Any
 
@@ -22,7 +22,7 @@ from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError, ModelError, OedSysidError
 from oed_sysid.evidence.check import LogCheck
 from oed_sysid.evidence.propose import HORIZONTAL, Factors, Term, cyclic, product_text
-from oed_sysid.evidence.sentences import say
+from oed_sysid.evidence.sentences import SAYS, say
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.between_records import FEWEST
@@ -130,8 +130,8 @@ def _rms(series: np.ndarray) -> float:
 def _states(model: Model, record: Record) -> dict[str, np.ndarray]:
     """States that are measured, or follow from what is by kinematics."""
     seen = measured_states(model, record)
-    guessed = {k: guess.series for k, guess in kinematic_states(model, record, seen).items()}
-    return {model.state_names[k]: series for k, series in {**seen, **guessed}.items()}
+    seen |= {k: guess.series for k, guess in kinematic_states(model, record, dict(seen)).items()}
+    return {model.state_names[k]: series for k, series in seen.items()}
 
 
 def _others(model: Model, record: Record) -> dict[str, np.ndarray]:
@@ -246,63 +246,53 @@ def _forces(model: Model, sizes: Sizes) -> Iterator[Effect]:
                 yield _named(term.effect(model, units, size / level), word, equation, text)
 
 
-@dataclass(frozen=True)
-class _Equation:
-    """An equation with its state, typical force and units, and the position of the state."""
-
-    equation: str
-    state: str
-    size: float
-    load: str
-    unit: str
-    position: str
-
-    @property
-    def facts(self) -> dict[str, Any]:
-        """What rows of the table ask of it."""
-        return asdict(self)
-
-    def per(self, unit: str) -> str:
-        """Unit of the force over another."""
-        return str((dimension(self.load) / dimension(unit)).plain)
+def _per(load: str, unit: str) -> str:
+    """Unit of a force over another."""
+    return str((dimension(load) / dimension(unit)).plain)
 
 
-def _equations(model: Model, sizes: Sizes) -> Iterator[_Equation]:
-    """Equations that may lack a force; coordinates that merely integrate a velocity do not."""
+def _equations(model: Model, sizes: Sizes) -> Iterator[dict[str, Any]]:
+    """What rows of the table ask of every equation that may lack a force.
+
+    Its state, typical force and units, and the position of the state. Coordinates that merely
+    integrate a velocity lack none.
+    """
     units, still, loads = _units(model), cyclic(model), equation_units(model)
     for name, state, size in _sized(model, sizes):
         if state in still:
             continue
         load = loads[name] if model.axes else str(dimension(loads[name]).plain)
         places = [p for p, text in model.kinematics.items() if text == state and p in units]
-        yield _Equation(name, state, size, load, units[state], next(iter(places), ""))
+        facts = {"equation": name, "state": state, "size": size, "load": load}
+        yield facts | {"unit": units[state], "position": next(iter(places), "")}
 
 
 def _resistances(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Dry friction of every motion, end stops of coordinates on which a force may depend."""
     equations, units = [*_equations(model, sizes)], _units(model)
     for one in equations:
-        if one.state in sizes.reversing:  # of one sign: a constant
-            yield from listed("usual_friction", **one.facts, level=sizes.level[one.state])
+        if one["state"] in sizes.reversing:  # of one sign: a constant
+            yield from listed("usual_friction", **one, level=sizes.level[one["state"]])
     for one in equations:
-        reach = sizes.reach.get(one.position, 0.0)
-        if reach > 0 and one.position not in HORIZONTAL and one.position != "psi":
-            unit = units[one.position]
+        position = one["position"]
+        reach, unit = sizes.reach.get(position, 0.0), units.get(position, "")
+        if reach > 0 and position not in (*HORIZONTAL, "psi"):
+            per = _per(one["load"], unit)
             yield from listed(
-                "usual_stop", **one.facts, reach=reach, per_position=one.per(unit),
-                position_unit=unit,
-            )  # fmt: skip
+                "usual_stop", **one, reach=reach, per_position=per, position_unit=unit
+            )
 
 
 def _hidden_states(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Forces through hidden states with free poles, driven by the own motion or a command."""
     commands = {} if len(model.axes) > 1 else commanded(model)
     for one in _equations(model, sizes):
-        facts = one.facts | {"time": sizes.time, "per_motion": one.per(one.unit)}
-        yield from listed("usual_memory", **facts, scale=one.size / (sizes.level[one.state] or 1.0))
+        load, scale = one["load"], one["size"] / (sizes.level[one["state"]] or 1.0)
+        facts = one | {"time": sizes.time, "per_motion": _per(load, one["unit"])}
+        yield from listed("usual_memory", **facts, scale=scale)
         for signal, its in commands.items():
             if sizes.swing.get(signal, 0.0) > 0 and its:
-                level, per = sizes.level[signal], one.per(its)
+                level, per = sizes.level[signal], _per(load, its)
                 yield from listed("usual_command_memory", **facts, signal=signal, its=its,
                                   its_level=level, per_signal=per)  # fmt: skip
 
@@ -312,7 +302,7 @@ def _waves(model: Model, sizes: Sizes) -> Iterator[Effect]:
     # As periods of innovations are searched.
     low, high = 2.0 * np.pi * FEWEST / sizes.duration, 2.0 * np.pi / (FEWEST * sizes.sample)
     for one in _equations(model, sizes) if high > low else ():
-        yield from listed("usual_wave", **one.facts, low=low, high=high)
+        yield from listed("usual_wave", **one, low=low, high=high)
 
 
 def _named(force: Force, word: str, equation: str, text: str) -> Force:
@@ -588,16 +578,10 @@ def settled(
         twice = {f"{e.name}{BY_RECORD}" for e in candidates if len(dataset) == 1}
         return tuple(effect for effect in candidates if effect.name not in twice), []
     if dataset.only_tests:
-        raise DataError(
-            "These records are independent tests at given motion (captive tests), from which no "
-            "usual candidates are made: name candidates= yourself, in the signals of the model."
-        )
+        raise DataError(SAYS["candidates"]["tests"])
     usual = usual_effects(model, dataset)
     if not usual:
-        raise DataError(
-            "There is no candidate effect, and none can be made: the signals of these records do "
-            "not move. Give records of a manoeuvre, or effects of your own."
-        )
+        raise DataError(SAYS["candidates"]["none"])
     late, notes = _late(dataset, log), [say("candidates", "made", count=len(usual))]
     if late:
         names = ", ".join(effect.name for effect in late)

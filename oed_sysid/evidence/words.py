@@ -252,30 +252,27 @@ def _kinds_of(fault: Candidate) -> tuple[str, ...]:
     return (fault.kind,)
 
 
-def _least_seen(kind: str, name: str, ended: Result | None) -> tuple[float, float]:
+def _least_seen(kind: str, name: str, ended: Result) -> tuple[float, float]:
     """From which size on a fault of a signal would have been seen, and how large it can be."""
     sizes = (
         (float(of), LARGEST * fault.plausible)
-        for fault, of in (ended.seen if ended is not None else ())
+        for fault, of in ended.seen
         if fault.signals == (name,) and kind in _kinds_of(fault)
     )
     return min(sizes, default=(np.inf, 0.0))
 
 
-def judged_row(
-    kind: str, name: str, unit: str, ended: Result | None, *, related: bool = True
-) -> Judged:
+def judged_row(kind: str, name: str, unit: str, ended: Result, *, related: bool = True) -> Judged:
     """Whether a fault was tested, from which size on, or why it was not."""
     size, plausible = _least_seen(kind, name, ended)
-    found = ended.found if ended is not None else ()
-    alike = (each.candidate for one in found for each in (one, *one.rivals))
+    alike = (each.candidate for one in ended.found for each in (one, *one.rivals))
     units = {"scale": "1", "delay": "s", "lost": "1", "rate": "1", "drift": f"{unit}/s"}
     of_size = kind not in READ and np.isfinite(size)
     shown = _size(size, units.get(kind, unit), ".1g") if of_size else ""
     if size <= plausible:
         return Judged(kind, name, "tested", shown)
     whys = {
-        "no faults explain what the nominal model leaves": ended is not None and not ended.settled,
+        "no faults explain what the nominal model leaves": not ended.settled,
         "nothing in which it moves enough": kind in READ,
         "no equation without unknown parameters relates it": not related,
         f"the motion shows it from {shown} on only": bool(shown),
