@@ -69,15 +69,15 @@ class PrecisionWarning(UserWarning):
 _SHOWN = 30
 
 
-def listed(names: Iterable[str]) -> str:
-    """Names in a row, the first thirty of many.
+def listed(names: Iterable[str], most: int = _SHOWN) -> str:
+    """Names in a row, the first thirty of many, or ``most``.
 
     >>> listed(["psi", "r"]), listed([])
     ('psi, r', 'none')
     """
     every = tuple(names)
-    rest = f" and {len(every) - _SHOWN} more" if len(every) > _SHOWN else ""
-    return (", ".join(every[:_SHOWN]) or "none") + rest
+    rest = f" and {len(every) - most} more" if len(every) > most else ""
+    return (", ".join(every[:most]) or "none") + rest
 
 
 def closest(name: str, names: Iterable[str]) -> str:

@@ -472,10 +472,7 @@ def _ordered(findings: list[Finding]) -> list[Finding]:
 
 
 def _asked(
-    names: Sequence[str],
-    traces: Sequence[Trace],
-    equations: tuple[Relation, ...],
-    ended: Result,
+    names: Sequence[str], traces: Sequence[Trace], equations: tuple[Relation, ...], ended: Result
 ) -> list[Judged]:
     """What was asked of every signal, from which size on it shows, or why it was not."""
     related, units = names_of(equations), units_of(traces)
@@ -537,7 +534,7 @@ def _balances(
             [piece for t in traces for piece in contrasts.contrasts(t, (relation,))]
             for traces in (before, after)
         )
-        series = tuple((p.record, p.times, p.series, _same(p, new)) for p in old)
+        series = tuple((p.side.record, p.times, p.series, _same(p, new)) for p in old)
         unit = before[0].units.get(relation.target, "")
         shares = _share(old), _share(new)
         yield Balance(str(relation), *shares, relation.target, unit, series)
@@ -546,8 +543,8 @@ def _balances(
 def _same(piece: Piece, others: Sequence[Piece]) -> np.ndarray:
     """The contrast of the piece of the same time, ``(n_blocks,)``."""
     middle = float(np.mean(piece.times))
-    here = (o for o in others if o.record == piece.record and o.times[0] < middle < o.times[-1])
-    twin = next(here, piece)
+    here = (one for one in others if one.side.record == piece.side.record)
+    twin = next((one for one in here if one.times[0] < middle < one.times[-1]), piece)
     return np.interp(piece.times, twin.times, twin.series)
 
 

@@ -383,19 +383,17 @@ def _rms(traces: Sequence[Trace], name: str) -> float:
 class Piece:
     """Cosine coefficients of one equation over one uninterrupted piece of a record.
 
-    ``times`` are those of the blocks, ``residual`` and ``target`` ``(n,)``, ``sampled`` ``(n, 2)``
-    is what is not known of the integral between samples, by what the nominal model leaves and by
-    what it may lack (:meth:`~oed_sysid.evidence.relations.Relation.sampled`), ``columns``
-    ``(n, n_used)`` are those of the candidates ``used``, those in the record before those at its
-    places; a block has ``group`` samples and
-    length ``span`` in s; ``walk`` is the variance per block that the fast noise of the rates
-    produces, ``level`` the deviation of the left side's, ``shares`` the part of each signal in
-    ``walk``; ``forced`` where forces are noise of the equation, ``is_rate`` where that is of a
-    rate.
+    ``side`` is the equation in the record, ``times`` are those of the blocks, ``residual`` and
+    ``target`` ``(n,)``, ``sampled`` ``(n, 2)`` is what is not known of the integral between
+    samples, by what the nominal model leaves and by what it may lack
+    (:meth:`~oed_sysid.evidence.relations.Relation.sampled`), ``columns`` ``(n, n_used)`` are those
+    of the candidates ``used``, those in the record before those at its places; a block has
+    ``group`` samples and length ``span`` in s; ``walk`` is the variance per block that the fast
+    noise of the rates produces, ``level`` the deviation of the left side's, ``shares`` the part of
+    each signal in ``walk``.
     """
 
-    relation: int
-    record: str
+    side: Side
     times: np.ndarray
     residual: np.ndarray
     target: np.ndarray
@@ -407,8 +405,6 @@ class Piece:
     walk: float
     level: float
     shares: Mapping[str, float]
-    forced: bool
-    is_rate: bool
 
     @property
     def angle(self) -> np.ndarray:
@@ -505,6 +501,7 @@ class Side:
     def __init__(self, motion: Motion, index: int, touched: set[str]) -> None:
         self.motion, self.index, self.relation = motion, index, motion.known[index]
         trace, self.inner = motion.trace, {n: motion.raw[n] for n in self.relation.signals}
+        self.record = trace.name
         asked, moving = touched & {*(self.relation.asked or self.inner)}, motion.sides[0]
         names = (n for n in self.inner if n in asked or trace.noise[n] > 0.0 or n in moving)
         self.slopes = {n: self.relation.slope(self.inner, trace.times, n) for n in names}
@@ -586,22 +583,12 @@ class Side:
             total = sum(walks.values())
             shares = {name: walk / total if total else 0.0 for name, walk in walks.items()}
             yield Piece(
-                relation=self.index,
-                record=trace.name,
-                times=middle,
-                residual=waves[:, 0],
-                target=waves[:, 1],
-                sampled=waves[:, 2:4],
-                columns=waves[:, 4:],
-                used=used,
-                span=span,
-                group=group,
+                self, middle, residual=waves[:, 0], target=waves[:, 1], sampled=waves[:, 2:4],
+                columns=waves[:, 4:], used=used, span=span, group=group,
                 walk=factor**2 * total * (span if rated else 0.0),
                 level=factor * trace.noise[relation.target] / np.sqrt(group),
                 shares={**shares, relation.target: -1.0},
-                forced=bool(relation.driven),
-                is_rate=rated,
-            )
+            )  # fmt: skip
 
 
 def _spacing(trace: Trace, name: str) -> float:
@@ -685,8 +672,8 @@ def assemble(
     every, n = [*faults, *places], len(faults)
     gram, across = np.zeros((n, n)), np.zeros((inside.size, len(places)))
     own, right, doubt, relative = np.zeros((4, len(every)))
-    for index in sorted({piece.relation for piece in pieces}):
-        mine = [piece for piece in pieces if piece.relation == index]
+    for index in sorted({piece.side.index for piece in pieces}):
+        mine = [piece for piece in pieces if piece.side.index == index]
         noise = Noise(mine, faults, inside)
         shares, law = noise.shares, noise.law
         part = shares * law.mean(axis=1)
@@ -708,7 +695,7 @@ def assemble(
             slope = -(here[active] / level) @ white**2
             relative[used] += np.sum(slope * (fisher @ slope), axis=0)
             # Noise of the right side is integrated where the left side is a rate.
-            first = len(CORRELATIONS) if piece.is_rate else 0
+            first = len(CORRELATIONS) if piece.side.relation.is_rate else 0
             part = (shares[first:] @ here[first:]) / level
             noisy = 0.5 * _attenuation(piece, every, float(part.sum()), power)
             left, lacking = (piece.sampled / np.sqrt(level)[:, None]).T @ white
@@ -783,7 +770,8 @@ def _joint_law(mine: Sequence[Piece]) -> np.ndarray:
 
     Means over fewer samples hold more of the white noise, longer blocks more of the integrated.
     """
-    law = np.concatenate([laws(p.angle, forced=p.forced) for p in mine], axis=1)
+    forced = bool(mine[0].side.relation.driven)
+    law = np.concatenate([laws(p.angle, forced=forced) for p in mine], axis=1)
     sizes = [p.residual.size for p in mine]
     fewer, longer = np.array([(1.0 / p.group, p.span) for p in mine]).T
     law[0] *= np.repeat(fewer / fewer.mean(), sizes)

@@ -124,10 +124,7 @@ class FrequencyResponse:
 
 
 def frequency_response(
-    dataset: Dataset,
-    *,
-    outputs: Sequence[np.ndarray] | None = None,
-    window: float | None = None,
+    dataset: Dataset, *, outputs: Sequence[np.ndarray] | None = None, window: float | None = None
 ) -> FrequencyResponse:
     """Estimate the frequency responses of records.
 

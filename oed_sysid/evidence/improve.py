@@ -218,33 +218,19 @@ def _result(
     records = {"train": study.train, "test": study.validation}
     base_rms, *rms = [{name: study.rms(fit, of) for name, of in records.items()} for fit in path]
     yardstick = Yardstick({k: of for k, of in records.items() if of}, _sigma(study, fits))
+    relative = yardstick.relative
     steps = tuple(
-        Step(
-            effect=one.effect.with_values(fit.model.values),
-            group=one.group,
-            claim=one.claim,
-            fit=fit,
-            rms=own,
-            errors=yardstick.relative(own),
-        )
-        for one, fit, own in zip(state.added, fits[1:], rms, strict=True)
+        Step(at.effect.with_values(fit.model.values), at.group, at.claim, fit, own, relative(own))
+        for at, fit, own in zip(state.added, fits[1:], rms, strict=True)
     )
     if log is not None:
         log = with_estimates(log, fits[-1], state.effects, study.base.values, logs)
+    remains = _whole(end, fits[-1], log)
     return Improvement(
-        base_fit=fits[0],
-        base_rms=base_rms,
-        steps=steps,
-        ranking=end.first,
-        location=location,
-        remains=_whole(end, fits[-1], log),
-        yardstick=yardstick,
-        proposed=proposed_terms(end.proposals, steps, state.replaced),
-        notes=tuple(notes),
-        log=log,
-        last=end.last if steps else None,
-        decisions=state.decisions,
-    )
+        fits[0], base_rms, steps, end.first, location, remains, yardstick,
+        proposed=proposed_terms(end.proposals, steps, state.replaced), notes=tuple(notes), log=log,
+        last=end.last if steps else None, decisions=state.decisions,
+    )  # fmt: skip
 
 
 def _whole(end: Ended, fit: Fit, log: LogCheck | None) -> Remains:

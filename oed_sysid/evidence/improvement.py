@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.errors import listed
 from oed_sysid.evidence.check import LogCheck
 from oed_sysid.evidence.claim import Claim, rests
 from oed_sysid.evidence.compare import Comparison
@@ -594,20 +595,15 @@ def _left_open(steps: Sequence[Any], ended: Ranking, kind: str) -> list[str]:
     imitated = [name for name in ended.imitated() if name not in added]
     hidden = sorted(set(ended.undetectable()) - added - set(imitated))
     are, their = ("is", "its") if len(hidden) == 1 else ("are", "their")
-    facts = {"hidden": _several(hidden), "imitated": _several(imitated), "are": are, "their": their}
+    names = {"hidden": listed(hidden, MOST_DRAWN), "imitated": listed(imitated, MOST_DRAWN)}
     doubts = {
         "hidden": hidden,
         "imitated": imitated,
         "errors": kind not in (*EXPLAINED, "not known"),
         "errors, not known": kind == "not known",
     }
+    facts = names | {"are": are, "their": their}
     return [say("doubt", row, **facts) for row, applies in doubts.items() if applies]
-
-
-def _several(names: Sequence[str]) -> str:
-    """The first of some names, and how many more there are."""
-    more = f" and {len(names) - MOST_DRAWN} more" if len(names) > MOST_DRAWN else ""
-    return f"{', '.join(names[:MOST_DRAWN])}{more}"
 
 
 def _manoeuvre(group: Sequence[str], known: Mapping[str, Any], commanded: bool) -> list[str]:

@@ -301,7 +301,7 @@ def _left_by(changes: np.ndarray, most: float) -> float:
 def _changes_by(trace: Trace, name: str, equations: tuple[Relation, ...]) -> Iterator[np.ndarray]:
     """Changes of contrasts, of a unit of an input and of left sides, ``(3, n_equations, n)``."""
     pieces = [*contrasts(trace, equations, [Candidate("bias", (name,), "", 1.0, 0.0)])]
-    whole = [piece.relation for piece in pieces] == [*range(len(equations))]
+    whole = [piece.side.index for piece in pieces] == [*range(len(equations))]
     # A record that is broken, in one equation or in all, is left out.
     if whole and all(np.array_equal(piece.times, pieces[0].times) for piece in pieces):
         lag = max(1, round(1.0 / pieces[0].span))

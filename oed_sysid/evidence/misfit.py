@@ -177,18 +177,11 @@ def output_misfit(
     # Records on which the prediction diverged have no pattern to look at.
     tested = [r for r in residuals if not np.isinf(r).any() and np.isfinite(r).sum() > 10]
     return OutputMisfit(
-        output=output,
-        rmse=total_error(pooled),
-        sigma=sigma,
-        bias=_mean(pooled[seen]),
-        record_rmse=tuple(map(total_error, residuals)),
-        n_samples=int(seen.sum()),
-        coverage=_mean(np.concatenate(inside_band)[seen]),
+        output, total_error(pooled), sigma, _mean(pooled[seen]), tuple(map(total_error, residuals)),
+        n_samples=int(seen.sum()), coverage=_mean(np.concatenate(inside_band)[seen]),
         tests=tuple(map(whiteness if in_time else _apart, tested)),
-        windows=windows,
-        worst=_worst(windows, dataset),
-        in_time=in_time,
-    )
+        windows=windows, worst=_worst(windows, dataset), in_time=in_time,
+    )  # fmt: skip
 
 
 def _mean(values: np.ndarray) -> float:

@@ -84,7 +84,7 @@ def prepared(train: Dataset, validation: Dataset | None, *, enough: int = 20_000
     ready, tests = Prepared(train, validation), train.only_tests
     least = LEAST if tests else LEAST_SAMPLES  # a test tells as much as many samples
     if validation is None and len(train) == 1 and train[0].n_samples >= 2.5 * least:
-        ready = (_drawn_apart if tests else _kept_apart)(train[0])
+        ready = _parted(train[0])
     # To leave some tests out would lose what they alone tell.
     strides = [1] if tests else _strides(ready.train, ready.validation, enough)
     return ready if max(strides) == 1 else _thinned(ready, strides)
@@ -104,24 +104,21 @@ def _thinned(ready: Prepared, strides: Sequence[int]) -> Prepared:
     return Prepared(train, validation, (*ready.notes, words), ready.train)
 
 
-def _kept_apart(record: Record) -> Prepared:
-    cut = float(record.times[0] + LEARNT * record.duration)
-    rows = int(np.searchsorted(record.times, cut))
-    first = record.window(-np.inf, record.times[rows - 1]).rename(f"{record.name}, first part")
-    last = record.window(record.times[rows], np.inf).rename(f"{record.name}, last part")
-    lasts = {"duration": last.duration, "begin": last.times[0]}
-    words = say("records", "kept", record=record.name, **lasts)
-    return Prepared(Dataset((first,)), Dataset((last,)), (words,))
-
-
-def _drawn_apart(record: Record) -> Prepared:
-    """Tests to learn from and to validate on, drawn by lot: their order says nothing."""
-    lot = np.random.default_rng(0).permutation(record.n_samples)
-    count = round(LEARNT * record.n_samples)
-    first = record.tests(np.sort(lot[:count]), f"{record.name}, drawn")
-    rest = record.tests(np.sort(lot[count:]), f"{record.name}, the others")
-    counts = {"all": record.n_samples, "some": rest.n_samples}
-    words = say("records", "drawn", record=record.name, **counts)
+def _parted(record: Record) -> Prepared:
+    """A part to learn from, and one to validate on: the last, of tests drawn by lot."""
+    name = record.name
+    if record.independent:  # their order says nothing
+        lot = np.random.default_rng(0).permutation(record.n_samples)
+        count = round(LEARNT * record.n_samples)
+        first = record.tests(np.sort(lot[:count]), f"{name}, drawn")
+        rest = record.tests(np.sort(lot[count:]), f"{name}, the others")
+        counts = {"all": record.n_samples, "some": rest.n_samples}
+        words = say("records", "drawn", record=name, **counts)
+    else:
+        rows = np.searchsorted(record.times, record.times[0] + LEARNT * record.duration)
+        first = record.window(-np.inf, record.times[rows - 1]).rename(f"{name}, first part")
+        rest = record.window(record.times[rows], np.inf).rename(f"{name}, last part")
+        words = say("records", "kept", record=name, duration=rest.duration, begin=rest.times[0])
     return Prepared(Dataset((first,)), Dataset((rest,)), (words,))
 
 

@@ -149,8 +149,8 @@ class Evidence:
     def _told(self, traces: Sequence[Trace], asked: tuple[Relation, ...]) -> np.ndarray:
         given, result = self.question.given, np.zeros((2, len(asked)))
         pieces = [p for t in traces for p in contrasts(t, asked, given)] if asked else []
-        for k in {piece.relation for piece in pieces}:
-            mine = [piece for piece in pieces if piece.relation == k]
+        for k in {piece.side.index for piece in pieces}:
+            mine = [piece for piece in pieces if piece.side.index == k]
             noise = Noise(mine, given, np.arange(len(given)))
             result[:, k] = noise.told, noise.away
         return result

@@ -64,7 +64,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from math import comb
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import bdtrc, ndtri, pdtrc, pdtri
@@ -324,10 +323,8 @@ class Signal:
         if not self.coarse:  # the end of samples that stand still is no new level
             taken[self.runs.rows(np.flatnonzero(self.runs.length >= 3))] = True
         jumped = steps(self.times, self.series, taken, 5.0 * self.least)
-        if not jumped:
-            return None
-        rows, sizes = zip(*jumped, strict=True)
-        return np.array(rows), max(sizes, key=abs), sizes
+        sizes = tuple(jumped.values())
+        return (np.array([*jumped]), max(sizes, key=abs), sizes) if jumped else None
 
 
 # Screens in their order, and whether nothing more can be said of a signal that one stops. What a
@@ -484,14 +481,9 @@ def _candidates(
             yield float(ends[k] / max(limit * usual, nearby, least)), first, length
 
 
-class Step(NamedTuple):
-    """A jump: index of the first sample after it, and its size in the unit of the signal."""
-
-    row: int
-    size: float
-
-
-def steps(times: np.ndarray, series: np.ndarray, taken: np.ndarray, least: float) -> list[Step]:
+def steps(
+    times: np.ndarray, series: np.ndarray, taken: np.ndarray, least: float
+) -> dict[int, float]:
     """Find jumps after which a signal keeps its new level.
 
     Parameters
@@ -503,16 +495,22 @@ def steps(times: np.ndarray, series: np.ndarray, taken: np.ndarray, least: float
     least : float
         The least size that matters, in the unit of the series.
 
+    Returns
+    -------
+    dict of int to float
+        Index of the first sample after each jump, and its size in the unit of the series.
+
     Examples
     --------
     >>> t = np.arange(400) * 0.1
     >>> y = np.sin(t) + 0.01 * np.random.default_rng(0).standard_normal(400)
     >>> y[250:] += 1.5
-    >>> [(one.row, round(one.size, 1)) for one in steps(t, y, np.zeros(400, dtype=bool), 0.1)]
-    [(250, 1.5)]
+    >>> found = steps(t, y, np.zeros(400, dtype=bool), 0.1)
+    >>> {row: round(size, 1) for row, size in found.items()}
+    {250: 1.5}
     """
     if series.size <= LEAST + 2 * SIDE:
-        return []
+        return {}
     beside = taken[1:] | taken[:-1]
     jumps = _groups(times[1:], np.diff(series), beside, [1], (SPIKE, least), SIDE)
     # What passes jumps back before long.
@@ -521,12 +519,11 @@ def steps(times: np.ndarray, series: np.ndarray, taken: np.ndarray, least: float
     alone = np.sort(around, axis=1)[:, -2] < 0.5 * change
     rows = sorted(int(group[0]) + 1 for group in jumps if alone[group[0]])
     edges = [0, *rows, series.size]
-    return [
-        Step(row, _size(series, taken, row, (edges[j], edges[j + 2]))) for j, row in enumerate(rows)
-    ]
+    bounds = zip(rows, edges, edges[2:], strict=False)
+    return {row: _size(series, taken, row, free) for row, *free in bounds}
 
 
-def _size(series: np.ndarray, taken: np.ndarray, row: int, free: tuple[int, int]) -> float:
+def _size(series: np.ndarray, taken: np.ndarray, row: int, free: Sequence[int]) -> float:
     """Size of a jump from the widest surroundings that a cubic with a step follows."""
     noise, size = fast_noise(series), float(series[row] - series[row - 1])
     for width in (10, 20, 40, 80):

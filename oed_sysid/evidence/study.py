@@ -163,17 +163,10 @@ class Study:
         # Without disturbance forces, what is slow and far above a sensor's high-frequency content
         # is structure.
         setting = Setting(
-            model,
-            train,
-            places,
-            sigma,
-            free,
-            colour=not known_noise and not tests,
-            logged=inputs,
-            known=absent,
-            drifting=disturbances != "none",
-            seas=seas_in(disturbances),
-        )
+            model, train, places, sigma, free,
+            colour=not known_noise and not tests, logged=inputs, known=absent,
+            drifting=disturbances != "none", seas=seas_in(disturbances),
+        )  # fmt: skip
         effects = fitting_candidates(model, candidates)
         # Two in three passes are of the nominal model, at a third to two thirds of the price.
         narrow, kernel = (_kernel(model, one, setting) for one in ((), effects))
@@ -182,17 +175,9 @@ class Study:
         if best is None:
             raise SimulationError(say("refused", "diverges", model=model.name))
         study = cls(
-            base=model,
-            candidates=effects,
-            train=train,
-            validation=validation,
-            setting=setting,
-            unit=unit,
-            narrow=narrow,
-            kernel=kernel,
-            estimated=~np.isfinite(levels),
-            excluded=white.excluded,
-        )
+            model, effects, train, validation, setting, unit, narrow, kernel,
+            estimated=~np.isfinite(levels), excluded=white.excluded,
+        )  # fmt: skip
         # What long steps leave would be explained by effects.
         best = study.resolved(best)
         step = best.problem.model.step

@@ -23,6 +23,7 @@ from oed_sysid.errors import DataError, ModelError, OedSysidError
 from oed_sysid.evidence.check import LogCheck
 from oed_sysid.evidence.propose import HORIZONTAL, Factors, Term, cyclic, product_text
 from oed_sysid.evidence.sentences import SAYS, say
+from oed_sysid.evidence.study import total_error
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.between_records import FEWEST
@@ -95,8 +96,8 @@ class Sizes:
         declared = {state.name: state.scale for state in model.states}  # where nothing tells one
         slow = {name: 10.0 * scale / self.duration for name, scale in declared.items()}
         self.swing = declared | _each(np.std, joined)
-        self.level = declared | _each(_rms, joined)
-        self.rate = slow | _each(_rms, rates)
+        self.level = declared | _each(total_error, joined)
+        self.rate = slow | _each(total_error, rates)
         self.mobility = _mobility(model, dataset, _each(lambda values: values[0], joined))
         self.reach = _each(lambda values: np.max(np.abs(values)), joined)
         self.reversing = frozenset(name for name, v in joined.items() if v.min() < 0.0 < v.max())
@@ -121,10 +122,6 @@ def _joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
     names = dict.fromkeys(name for part in parts for name in part)
     found = {name: np.concatenate([part[name] for part in parts if name in part]) for name in names}
     return {name: series for name, series in found.items() if series.size}
-
-
-def _rms(series: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(series**2)))
 
 
 def _states(model: Model, record: Record) -> dict[str, np.ndarray]:
@@ -564,10 +561,7 @@ def equipped(problem: Problem, dataset: Dataset | None = None) -> Problem:
 
 
 def settled(
-    model: Model,
-    dataset: Dataset,
-    candidates: Sequence[Effect] | None,
-    log: LogCheck | None = None,
+    model: Model, dataset: Dataset, candidates: Sequence[Effect] | None, log: LogCheck | None = None
 ) -> tuple[tuple[Effect, ...], list[str]]:
     """The candidates that were named, or usual ones and a note that says so.
 

@@ -66,10 +66,9 @@ def _of(signals: Sequence[str]) -> dict[str, str]:
         return {}
     *most, last = signals
     both = f"{', '.join(most)} and {last}" if most else last
-    verbs = {"have": "have", "are": "are", "come": "come"}
-    one = {"have": "has", "are": "is", "come": "comes"}
     names = {"commas": ", ".join(signals), "both": both, "first": signals[0], "last": last}
-    return names | (verbs if most else one)
+    of_one = {"have": "has", "are": "is", "come": "comes"}
+    return names | {verb: verb if most else one for verb, one in of_one.items()}
 
 
 def rival(one: Found) -> str:
