@@ -113,27 +113,24 @@ class Rows:
         n_known = layout.levels.start
         self.scaled = [part.innovations / np.sqrt(part.variances) for part in passes]
         self.times = [record.times for record in problem.records]
-        known, extra = [], []
+        every, more = [], np.arange(n_known, n_known + len(smooth))
         for index, part in enumerate(passes):
-            columns = layout.record_columns(index)
+            columns = np.append(layout.record_columns(index), more)
             # The chain rule, where unknowns are logarithms; zero where nothing was measured.
             size = np.append(layout.record_slopes(unknowns, index), np.ones(len(smooth)))
             seen = np.isfinite(problem.records[index].outputs)[:, :, None]
             rows = np.where(seen, -size * part.rows[:, :, : len(size)], 0.0).reshape(-1, len(size))
-            block = np.zeros((len(rows), n_known))
-            block[:, columns] = rows[:, : len(columns)]
-            known.append(block)
-            extra.append(rows[:, len(columns) :])
-        ends = np.cumsum([0, *map(len, known)])
+            every.append(np.zeros((len(rows), n_known + len(smooth))))
+            every[-1][:, columns] = rows
+        ends = np.cumsum([0, *map(len, every)])
         self.parts = [slice(*ends) for ends in pairwise(ends)]
         held = np.flatnonzero(limits.prior_weight[:n_known] > 0)
         roots = np.sqrt(limits.prior_weight[held])
-        known.append(roots[:, None] * np.eye(n_known)[held])
-        extra.append(np.zeros((len(held), len(smooth))))
+        every.append(roots[:, None] * np.eye(n_known + len(smooth))[held])
         away = roots * (limits.prior_mean[held] - unknowns[held])
         self.residual = np.concatenate([*map(_row, self.scaled), away])
-        self.known = np.concatenate(known)
-        self.extra = dict(zip(smooth, np.concatenate(extra).T, strict=True))
+        self.known, extra = np.split(np.concatenate(every), [n_known], axis=1)
+        self.extra = dict(zip(smooth, extra.T, strict=True))
 
     def basis(self, apart: Sequence[int] | np.ndarray = ()) -> np.ndarray:
         """Orthonormal basis of what the unknowns explain, ``(n_rows, n)``, some left apart."""
