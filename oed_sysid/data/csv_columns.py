@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from oed_sysid.data import SAYS
 from oed_sysid.data.log import symbol_of
 from oed_sysid.data.record import TIME_ADVICE, check_wraps, time_fault
 from oed_sysid.errors import DataError, UnitWarning, closest, listed, located
@@ -111,11 +112,7 @@ class Columns:
             matches = matches or [*self.table.stamps]
         if len(matches) != 1:
             what = "no" if not matches else "more than one"
-            raise DataError(
-                f"{self.path.name} has {what} time column. {self.found} Call it 't [s]' in the "
-                "header, or, in Python, name it with time=...; 'oed-sysid import "
-                f"{self.path.name}' tells times by their numbers, whatever they are called."
-            )
+            raise DataError(SAYS["time_columns"].format(self, what=what))
         return matches[0]
 
     def _times(self, index: int) -> np.ndarray:
@@ -167,10 +164,7 @@ class Columns:
         first, where = self.table.values[0, index], self._where(index)
         counted = unit_of_counts(self.table.values[:, index])
         if counted == "clock":
-            raise DataError(
-                f"{where} starts at {first:.14g} and goes on like a date or a clock in digits, not "
-                "like seconds. Write seconds, or ISO times such as 2024-05-31T12:00:00.5Z."
-            )
+            raise DataError(SAYS["digits_of_a_clock"].format(where=where, first=first))
         if counted == "day":
             origin = max(origin for origin in DAYS if origin < first)
             moment = datetime.fromtimestamp((first - origin) * DAY, UTC)
@@ -280,10 +274,7 @@ class Columns:
         matches = next(filter(None, found), [])
         if len(matches) > 1:
             headers = " and ".join(repr(self.table.headers[i]) for i in matches)
-            raise DataError(
-                f"{self.path.name}: {headers} both look like {channel.name!r}. Say "
-                "which with column=..., as the whole header."
-            )
+            raise DataError(SAYS["alike"].format(self, headers=headers, channel=channel))
         return matches[0] if matches else None
 
     def _needed(self, channel: Input | Output) -> int:
@@ -310,10 +301,7 @@ class Columns:
             raise DataError(self.table.faults[index])
         where = self._where(index)
         if index in self.table.stamps:
-            raise DataError(
-                f"{where} holds times of a clock, but channel {channel.name} needs numbers in "
-                f"[{channel.unit}]. Choose another column with column=..."
-            )
+            raise DataError(SAYS["clock_for_numbers"].format(where=where, channel=channel))
         unit = self._unit(index, channel)
         self._check_plausible(index, where)
         values, si_unit = to_si(self.table.values[:, index], unit)
@@ -417,10 +405,7 @@ def _check_unit(where: str, channel: Input | Output, name: str, unit: str) -> No
     except DataError as error:
         raise DataError(f"{where}: {error}") from error
     if found.radian and re.search("%|percent", unit):
-        raise DataError(
-            f"{where} is in [{unit}], and a part in a hundred of an angle is none. Write "
-            f"'{name} [deg]' if the numbers are degrees."
-        )
+        raise DataError(SAYS["part_of_an_angle"].format(where=where, unit=unit, name=name))
     if not converts(unit, channel.unit):
         mend = "Correct the unit in the header, as"
         if converts(f"{unit} rad", channel.unit):
@@ -526,10 +511,7 @@ def check_times(table: Table, column: int, times: np.ndarray) -> None:
     where = f"Row {table.row_numbers[row]} of {table.path.name}"
     if np.isnan(times[row]):
         n = int(np.isnan(times).sum())
-        raise DataError(
-            f"{where}: the time is empty or no number ({counted(n, 'such row')}). "
-            "Every row needs one: write it, or remove the row."
-        )
+        raise DataError(SAYS["empty_time"].format(where=where, rows=counted(n, "such row")))
     now, before = (f"{table.values[max(at, 0), column]:.12g}" for at in (row, row - 1))
     if np.array_equal(table.values[row], table.values[row - 1], equal_nan=True):
         raise DataError(f"{where} repeats the row before (time {now}). Remove one of them.")

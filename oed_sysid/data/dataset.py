@@ -34,6 +34,7 @@ from typing import Any
 
 import numpy as np
 
+from oed_sysid.data import SAYS
 from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.frames import RECORD, frame, tables_of
 from oed_sysid.data.record import Record, empty_outputs, nearest
@@ -83,15 +84,9 @@ class Dataset:
                     f"A dataset holds records, but one of these is a {type(record).__name__}."
                 )
             if record.name in self.names[:index]:
-                raise DataError(
-                    f"Two records are called {record.name!r}. Give each of them once, or rename "
-                    "one: the file, or in Python the record, with rename()."
-                )
+                raise DataError(SAYS["records_of_one_name"].format(record=record))
             if record.channels != self.channels:
-                raise DataError(
-                    f"Record {record.name!r} has other channels than {self.records[0].name!r}. "
-                    "Read both with the channels of the same model."
-                )
+                raise DataError(SAYS["other_channels"].format(self, record=record))
 
     _repr_html_ = as_html
 
@@ -160,10 +155,7 @@ class Dataset:
         names = (test,) if isinstance(test, str) else tuple(test)
         chosen = {self._position(name) for name in names}
         if not 0 < len(chosen) < len(self):
-            raise DataError(
-                f"A split with {len(chosen)} of {len(self)} records for the test leaves one side "
-                "empty. Keep at least one record on each side."
-            )
+            raise DataError(SAYS["empty_side"].format(n=len(chosen), n_records=len(self)))
         train = tuple(r for i, r in enumerate(self.records) if i not in chosen)
         return Dataset(train), Dataset(tuple(self.records[i] for i in sorted(chosen)))
 
@@ -295,16 +287,10 @@ def read_csv(
     _check_channels(channels)
     files = _files(paths)
     if name is not None and len(files) > 1:
-        raise DataError(
-            f"One name, {name!r}, was given for {len(files)} files. Leave it out: "
-            "records are named after their files."
-        )
+        raise DataError(SAYS["one_name"].format(name=name, n=len(files)))
     places = [file.resolve() for file in files]
     if twice := [file for i, file in enumerate(files) if places[i] in places[:i]]:
-        raise DataError(
-            f"{str(twice[0])!r} is given twice. Give every record once: a pattern or a folder may "
-            "name it already."
-        )
+        raise DataError(SAYS["given_twice"].format(file=str(twice[0])))
     names = [name] if name is not None else _names_of(files)
     tables = (
         (one, read_table(file, columns_of_text=True))

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from oed_sysid.data import apart
+from oed_sysid.data import SAYS, apart
 from oed_sysid.data.apart import guarded, read_apart
 from oed_sysid.data.csv_columns import EPOCH, counted_on, unit_of_counts
 from oed_sysid.data.frames import columns_of, is_time, plain
@@ -167,10 +167,7 @@ class _Timed(NamedTuple):
 
 def _without_times(path: Path, tables: Mapping[str, Mapping[str, np.ndarray]]) -> DataError:
     found = ", ".join(repr(h) for columns in tables.values() for h in list(columns)[:6])
-    return DataError(
-        f"{path.name} has no column with times: none is called 't [s]' or 'time [s]', and none "
-        f"grows from row to row. Found were {found or 'no columns'}."
-    )
+    return DataError(SAYS["no_times"].format(path=path, found=found or "no columns"))
 
 
 def _seconds_of_digits(clock: np.ndarray) -> np.ndarray:
@@ -320,10 +317,7 @@ def read_dataflash(path: Path) -> Log:
     if not notes and (torn or re.search("bad|skipped", said.getvalue().lower())):
         notes.append(f"{path.name} is damaged or breaks off: parts of it were skipped.")
     if not rows:
-        raise DataError(
-            f"{path.name} holds no message with a time: it is empty, torn, or no DataFlash log. "
-            "Copy it again from the vehicle."
-        )
+        raise DataError(SAYS["no_messages"].format(path=path))
     known = {name: unit for name, (unit, _) in units.items() if unit}
     kind = "ArduPilot log (DataFlash)"
     return assemble(path, kind, topics_of(rows), units=known, notes=notes)
@@ -515,10 +509,7 @@ def _decoder(schema: Any, channel: Any) -> Callable[[bytes], Any]:
         return lambda raw: read(raw, name)
     if channel.message_encoding == "protobuf" and schema is not None:
         return _protobuf(schema)
-    raise DataError(
-        f"its messages are encoded as {channel.message_encoding!r}; protobuf, cdr (ROS 2), "
-        "ros1 and json are read. Convert the file, or export the topic as CSV."
-    )
+    raise DataError(SAYS["encoding"].format(channel=channel))
 
 
 def _protobuf(schema: Any) -> Callable[[bytes], Any]:
@@ -586,10 +577,7 @@ def read_nmea(path: Path) -> Log:
     """
     parsed, bad = _sentences(path)
     if not parsed:
-        raise DataError(
-            f"{path.name} holds no NMEA 0183 sentence with a right checksum ({bad} were refused). "
-            "Log whole lines, from $ to the checksum."
-        )
+        raise DataError(SAYS["no_sentence"].format(path=path, bad=bad))
     notes = [f"{bad} of {bad + len(parsed)} sentences were torn and left out."] if bad else []
     times, words = _times(path, [stamp for _, _, stamp, _ in parsed], [t for *_, t in parsed])
     notes += [words] if words else []
@@ -681,10 +669,7 @@ def _times(
         return np.array(stamps, dtype=float), ""
     known = [index for index, time in enumerate(of_day) if time is not None]
     if not known:
-        raise DataError(
-            f"{path.name} has no times: neither its lines nor a sentence (RMC, GGA, GLL, ZDA) "
-            "says when. Log with a time in front of each line."
-        )
+        raise DataError(SAYS["sentences_without_times"].format(path=path))
     moments = np.array([of_day[index] for index in known], dtype=float)
     moments = counted_on(moments)
     # Sentences of one moment come after each other: the first of them has the time.
@@ -851,10 +836,7 @@ def format_of(place: Path) -> Format:
         read = ", ".join(form.words for form in FORMATS)
         raise DataError(f"{place.name} has no format that is known. Read are: {read}.")
     if named.starts:
-        raise DataError(
-            f"{place.name} ends like a log that is read, but does not begin like one: it is "
-            "damaged, or something else. Copy it again from the vehicle."
-        )
+        raise DataError(SAYS["begins_otherwise"].format(place=place))
     return named
 
 
@@ -910,10 +892,7 @@ def open_log(path: str | Path, *, time: str = "") -> Log:
 def _start(place: Path) -> bytes:
     """First bytes of a file."""
     if place.is_dir():
-        raise DataError(
-            f"{str(place)!r} is a folder without metadata.yaml, so no ROS 2 bag. Give one log "
-            "file, or write metadata.yaml with  ros2 bag reindex."
-        )
+        raise DataError(SAYS["plain_folder"].format(folder=str(place)))
     if not (start := read_bytes(place, 1024)):
         raise DataError(f"{place.name} is empty: nothing was logged, or the copy failed.")
     return start

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from oed_sysid.data import SAYS
 from oed_sysid.data.csv_columns import TIME_NAMES
 from oed_sysid.errors import DataError, library
 from oed_sysid.text.csv_table import Table
@@ -41,10 +42,7 @@ def columns_of(table: Any) -> dict[str, np.ndarray]:
     if hasattr(table, "data_vars") and hasattr(table, "coords"):
         return dict(_variables(table))
     if not (hasattr(table, "columns") and hasattr(table, "index")):
-        raise DataError(
-            f"A {type(table).__name__} is no data frame. Give a pandas.DataFrame or an "
-            "xarray.Dataset."
-        )
+        raise DataError(SAYS["no_frame"].format(kind=type(table).__name__))
     columns = {str(name): plain(_array(table[name])) for name in table.columns}
     return columns if any(map(is_time, columns)) else {**_times_of(table.index), **columns}
 
@@ -92,10 +90,7 @@ def _variables(table: Any) -> Iterator[tuple[str, np.ndarray]]:
     for name in [*table.coords, *table.data_vars]:
         variable = table[name]
         if variable.ndim != 1:
-            raise DataError(
-                f"Variable {name!r} has dimensions {tuple(variable.dims)}. Expected one, the time: "
-                "choose a slice with .sel() or .isel(), or stack the others into columns."
-            )
+            raise DataError(SAYS["dimensions"].format(name=name, dimensions=tuple(variable.dims)))
         values, header = np.asarray(variable.to_numpy()), str(name)
         unit = variable.attrs.get("units")
         if values.dtype.kind == "m":

@@ -29,6 +29,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
+from oed_sysid.data import SAYS
 from oed_sysid.errors import DataError, listed, located
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.runtime.constants import IMMATERIAL
@@ -341,10 +342,7 @@ class Record:
         try:
             return np.array(values, dtype=float)
         except (TypeError, ValueError):
-            raise DataError(
-                f"Record {self.name!r} has {kind} that are no real numbers: {values!r:.60}. "
-                "Give an array of numbers, NaN where a sample is missing."
-            ) from None
+            raise DataError(SAYS["no_numbers"].format(self, kind=kind, values=values)) from None
 
     def _columns(
         self, kind: str, values: ArrayLike, n_samples: int, names: tuple[str, ...]
@@ -392,10 +390,7 @@ class Record:
     def _faults(self) -> Iterator[str]:
         """What is wrong with times and values, in sentences, the worst first."""
         if self.n_samples < MINIMUM_SAMPLES:
-            yield (
-                f"Record {self.name!r} has {self.n_samples} samples; at least {MINIMUM_SAMPLES} "
-                "are needed. Join it with its neighbour or leave it out."
-            )
+            yield str(SAYS["few_samples"].format(self, least=MINIMUM_SAMPLES))
         if (fault := time_fault(self.times)) is not None:
             index, what = fault
             yield (
@@ -424,10 +419,7 @@ class Record:
         says = f"Record {self.name!r} declares {{!r}} missing, but {{}}."
         yield from (says.format(name, known) for name in sorted(declared - {*names}))
         for name in sorted(empty - declared):
-            yield (
-                f"Record {self.name!r}: output {name!r} has no sample at all. If it was not "
-                f"measured, say so with missing_outputs=({name!r},)."
-            )
+            yield str(SAYS["never_measured"].format(self, name=name))
         yield from (says.format(name, "it has samples") for name in sorted(declared - empty))
         if len(empty) == len(names):
             yield f"Record {self.name!r} has no measured output. At least one is needed."
@@ -533,10 +525,7 @@ class Record:
         name : str
         """
         if not self.independent:
-            raise DataError(
-                f"Record {self.name!r} is a time series, whose samples cannot be taken apart. Cut "
-                "it with window(start, stop)."
-            )
+            raise DataError(SAYS["time_series"].format(self))
         return self._take(rows, name)
 
     def rename(self, name: str) -> Record:

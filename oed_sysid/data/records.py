@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from oed_sysid.data import SAYS
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.log import Log, Series
 from oed_sysid.data.mapping import Cut, LogMapping, Source
@@ -130,11 +131,7 @@ class _Import:
         ):
             located(DataError, f"{mapping.where}: the problem has no {kind}", given, known)
         for name in (name for name in channels.input_names if name not in mapping.inputs):
-            raise DataError(
-                f"{mapping.where} has no [inputs.{name}]. Inputs have to be known at every time: "
-                "name its field, or give constant = number if it did not change, in a mapping "
-                "(oed-sysid import --draft FILE begins one)."
-            )
+            raise DataError(SAYS["unmapped_input"].format(mapping=mapping, name=name))
 
     def _signal(self, source: Source, channel: Input | Output) -> Series:
         """A channel in SI at the times when it was so."""
@@ -171,10 +168,7 @@ class _Import:
         """Unit of a field, as the mapping says it, or else the log."""
         stated = source.unit or series.unit
         if stated is None:
-            raise DataError(
-                f"{source.field!r} has no unit in {self.log.path.name}. Say it in the mapping: "
-                f'unit = "{channel.unit}", or whichever it is in.'
-            )
+            raise DataError(SAYS["unit_of_field"].format(self, source=source, channel=channel))
         _check_unit(f"{source.field!r}", stated, channel.unit)
         # A declared unit other than the log's own is not a conversion but a contradiction.
         if series.unit is not None and source.factor == 1.0 and not same_unit(stated, series.unit):
@@ -188,10 +182,7 @@ class _Import:
         """Manoeuvres of the mapping; the whole log where it asks for none."""
         mapping, (first, last) = self.mapping, self.log.span
         if away := [cut for cut in mapping.cuts if cut.start > last or cut.stop < first]:
-            raise DataError(
-                f"Cut {away[0].name!r} is from {away[0].start:g} to {away[0].stop:g} s, but the "
-                f"log lasts from {first:.1f} to {last:.1f} s."
-            )
+            raise DataError(SAYS["cut_outside"].format(away=away, first=first, last=last))
         made: list[Cut] = []
         if mapping.while_ is not None:
             made += mapping.while_.find(self.log[mapping.while_.field], last)
@@ -202,20 +193,13 @@ class _Import:
             return [Cut(stem, first, max(last, first + 1e-9))]
         found = [*mapping.cuts, *(replace(cut, name=f"{stem}_{cut.name}") for cut in made)]
         if not found:
-            raise DataError(
-                f"{mapping.where} finds no manoeuvre in {self.log.path.name}. Lower threshold or "
-                "shortest, or look at the command with --list."
-            )
+            raise DataError(SAYS["no_manoeuvre"].format(self, mapping=mapping))
         return found
 
 
 def _check_unit(where: str, unit: str, needed: str) -> None:
     if not converts(unit, needed):
-        raise DataError(
-            f"{where} is in [{unit}], but the channel needs [{needed}] or a unit that converts to "
-            "it. Correct unit in the mapping, or choose another field; a servo's microseconds or "
-            "a normalised command need factor = ... and the unit that this leads to."
-        )
+        raise DataError(SAYS["unit_of_channel"].format(where=where, unit=unit, needed=needed))
 
 
 class _Manoeuvre:

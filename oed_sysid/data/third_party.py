@@ -25,6 +25,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from oed_sysid.data import SAYS
 from oed_sysid.errors import DataError, located
 from oed_sysid.runtime.files import write_bytes
 
@@ -173,24 +174,14 @@ def fetch(path: str) -> Path:
     place = folder / file.path
     if place.is_file():
         if _digest(place.read_bytes()) != file.sha256:
-            raise DataError(
-                f"{place} is not the file that is registered: its SHA-256 differs. Move it away, "
-                f"and the original is fetched again ({file.source})."
-            )
+            raise DataError(SAYS["another_file"].format(place=place, file=file))
         return place
     if file.url is None:
-        raise DataError(
-            f"The data {file.path} is not in {folder} and cannot be downloaded in this form. "
-            f"It comes from {file.source}. Put the converted file there, or set OED_SYSID_DATA to "
-            "a folder that has it."
-        )
+        raise DataError(SAYS["no_download"].format(file=file, folder=folder))
     raw = _download(file, folder)
     content = file.convert(raw) if file.convert else raw
     if _digest(content) != file.sha256:
-        raise DataError(
-            f"{file.url} was downloaded, but does not give the registered {file.path}: its SHA-256 "
-            f"differs. The source has changed; compare with {file.source}."
-        )
+        raise DataError(SAYS["source_changed"].format(file=file))
     write_bytes(place, content)
     return place
 

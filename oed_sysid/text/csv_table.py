@@ -49,6 +49,7 @@ _CLOCK = re.compile(r"(\d{1,3}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
 _POINTS = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[T ]+(\d{1,2}:.+)")
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}")
 _KNOWN = tables(__file__, "file_kinds")
+SAYS: dict[str, Any] = _KNOWN["says"]
 # Patterns of cells that are no number, and what to do about them.
 _COMPLAINTS = tuple((re.compile(one, re.IGNORECASE), words) for one, words in _KNOWN["complaints"])
 
@@ -189,10 +190,7 @@ def _check_kind(path: Path, lines: list[tuple[int, str]]) -> None:
             raise DataError(f"{path.name} holds {what}, not a table. {advice}.")
     for number, line in lines:
         if line.startswith(("<<<<<<< ", ">>>>>>> ")) or line.rstrip() == "=======":
-            raise DataError(
-                f"Row {number} of {path.name} is a mark of a merge that Git could not finish: the "
-                "file holds two versions. Choose one of them."
-            )
+            raise DataError(SAYS["merge_mark"].format(number=number, path=path))
 
 
 def _split(text: str) -> list[str]:
@@ -243,14 +241,8 @@ def _wide(path: Path, content: bytes) -> str:
     """Say what a file full of zero bytes is."""
     even, odd = content[::2].count(0), content[1::2].count(0)
     if max(even, odd) > 0.4 * len(content) / 2 and min(even, odd) < 0.1 * len(content) / 2:
-        return (
-            f"{path.name} seems to be UTF-16 without the mark that says so. Save it as UTF-8 "
-            "(comma separated)."
-        )
-    return (
-        f"{path.name} consists mostly of zero bytes: the logger had no power, or the copy failed. "
-        "Copy it again, or leave it out."
-    )
+        return SAYS["wide_letters"].format(path=path)
+    return SAYS["zero_bytes"].format(path=path)
 
 
 def _checked(path: Path, text: str) -> str:
@@ -261,10 +253,7 @@ def _checked(path: Path, text: str) -> str:
     row = len(_split(text[:at]))
     byte = ord(text[at])
     what = "a zero byte" if byte == 0 else f"the control character {byte:#04x}"
-    raise DataError(
-        f"Row {row} of {path.name} holds {what}, so the file is damaged or no text. Copy it again, "
-        "or cut it before this row."
-    )
+    raise DataError(SAYS["control_character"].format(row=row, path=path, what=what))
 
 
 # -- tables of numbers as text ---------------------------------------------------------
@@ -379,10 +368,7 @@ def _titled(path: Path, text: str) -> list[tuple[int, str]]:
             numbered = [title, *numbered]
     if len(numbered) < 2:
         what = "is empty" if not numbered else "holds no rows of numbers"
-        raise DataError(
-            f"{path.name} {what}. Expected a header line such as 't [s],theta [deg]' and one row "
-            "per sample."
-        )
+        raise DataError(SAYS["no_rows"].format(path=path, what=what))
     return numbered
 
 
@@ -434,10 +420,7 @@ def _cells(line: str, delimiter: str) -> list[str]:
 def _check_layout(path: Path, header: str, delimiter: str, first: str) -> None:
     """Refuse what is laid out in another way than a header and rows with one delimiter."""
     if header.count('"') % 2:
-        raise DataError(
-            f"A quotation mark in the header of {path.name} is not closed in its line. Write the "
-            "header in one line, without line breaks in names."
-        )
+        raise DataError(SAYS["open_quotation"].format(path=path))
     units = re.match(r"\s*\[[^\[\]{}\":]{0,20}\]\s*([,;\t]|$)", first)
     opens = ("{", "<") if units else ("{", "[", "<")
     if first.lstrip().startswith(opens) or header.lstrip().startswith(("{", "<")):
@@ -479,10 +462,7 @@ def _check_headers(path: Path, headers: list[str]) -> None:
                 "name and unit only, as 'psi [deg]'."
             )
         if header.count("[") != header.count("]") or header.count("(") != header.count(")"):
-            raise DataError(
-                f"Header {header!r:.60} of {path.name} has a bracket that is not closed. Write "
-                "units as 'psi [deg]'."
-            )
+            raise DataError(SAYS["open_bracket"].format(header=header, path=path))
         if not header:
             raise DataError(
                 f"Column {index + 1} of {path.name} has no header. Name it, or remove the column."
@@ -550,10 +530,7 @@ def _rows(
                 f"the header has {len(headers)}. {advice}"
             )
         if [cell.strip() for cell in cells] == headers:
-            raise DataError(
-                f"Row {number_} of {path.name} repeats the header: these are two logs. Cut the "
-                "file there and read both parts."
-            )
+            raise DataError(SAYS["header_again"].format(row=number_, path=path))
         rows.append(cells)
     return rows
 
