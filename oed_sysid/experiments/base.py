@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed_sysid.errors import ModelError, located
+from oed_sysid.experiments import SAYS
 from oed_sysid.runtime.display import plain
 
 #: Advice for sizes below zero, where ``first`` says the side.
@@ -85,8 +86,7 @@ def numbers(owner: str, name: str, values: Numbers) -> tuple[float, ...]:
     if not np.all(np.isfinite(array)):
         where = int(np.flatnonzero(~np.isfinite(array))[0])
         raise ModelError(
-            f"{owner} has {array[where]} at position {where} of {name}. A command needs a value "
-            "everywhere: fill or cut the gap first."
+            SAYS["gap_in_command"].format(owner=owner, value=array[where], where=where, name=name)
         )
     return tuple(array.tolist())
 
@@ -252,10 +252,7 @@ class Excitation(ABC):
         located(ModelError, "This package has no kind of manoeuvre", [name], known)
         found = known[name]
         if not issubclass(found, cls):
-            raise ModelError(
-                f"A stored {name!r} is a {found.__name__}, not a {cls.__name__}. "
-                "Use Excitation.from_dict."
-            )
+            raise ModelError(SAYS["another_kind"].format(name=name, found=found, cls=cls))
         allowed = [field.name for field in _settings(found)]
         settings = {
             OLDER.get(key, key): _revived(value) for key, value in data.items() if key != "kind"
@@ -295,10 +292,7 @@ class Manoeuvre(Excitation):
                 self._set(**{field.name: rules[field.name](self._owner, field.name, given)})
         self._validate()
         if not isinstance(self.input, str) or not self.input:
-            raise ModelError(
-                f"{type(self).__name__} has input {self.input!r}; give the name of a commanded "
-                "channel, for instance 'rudder'."
-            )
+            raise ModelError(SAYS["no_input_name"].format(self, kind=type(self).__name__))
 
     @property
     def parts(self) -> tuple[Manoeuvre, ...]:
@@ -390,10 +384,7 @@ class Stepwise(Manoeuvre):
             If the manoeuvre reacts to measured signals.
         """
         if self.feedback:
-            raise ModelError(
-                f"{self._owner} reacts to {', '.join(self.feedback)}, so its commands do not "
-                "depend on time alone. Run its controller() within a simulation."
-            )
+            raise ModelError(SAYS["commands_react"].format(self, signals=", ".join(self.feedback)))
         controller = self.controller()
         return np.array([controller.command(float(time), {}) for time in np.asarray(times)])
 

@@ -88,10 +88,7 @@ def load_problem(name_or_folder: str | Path, *, variant: str | None = None) -> P
 def _find(name_or_folder: str | Path) -> Path:
     """Return the ``problem.py`` that is meant."""
     if not isinstance(name_or_folder, str | os.PathLike) or not str(name_or_folder).strip():
-        raise ProblemError(
-            f"{name_or_folder!r:.60} names no problem. Give the name of a shipped one (see "
-            "oed_sysid.list_problems()) or a folder."
-        )
+        raise ProblemError(SAYS["names_no_problem"].format(given=name_or_folder))
     shipped = list_problems()
     folder = catalogue_folder()
     if folder is not None and str(name_or_folder) in shipped:

@@ -27,6 +27,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import OedSysidError, ProblemError, listed, located
+from oed_sysid.experiments import SAYS
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Channels, settle
@@ -130,10 +131,7 @@ class Problem:
     def __post_init__(self) -> None:
         self._check_kinds()
         if not _NAME.fullmatch(self.name):
-            raise ProblemError(
-                f"Problem name {self.name!r} is no identifier. Use letters, digits and "
-                "underscores, beginning with a letter."
-            )
+            raise ProblemError(SAYS["no_identifier"].format(self))
         if self.models.get(DEFAULT, self.model) != self.model:
             raise ProblemError(
                 f"Problem {self.name!r} has two default models. Leave {DEFAULT!r} out of models."
@@ -185,10 +183,7 @@ class Problem:
                 )
             seen.add(effect.name)
             if effect.name in self.model.effect_names:
-                raise ProblemError(
-                    f"Problem {self.name!r} has the candidate {effect.name!r}, which its model "
-                    "contains already. Remove it from one of the two."
-                )
+                raise ProblemError(SAYS["contained_already"].format(self, effect=effect))
             try:
                 self.model + effect
                 kept.append(effect)
@@ -281,10 +276,7 @@ class Problem:
             If it comes without records.
         """
         if self.records is None:
-            raise ProblemError(
-                f"Problem {self.name!r} comes without records. Read your own with "
-                "oed_sysid.read_csv(path, problem.channels), or simulate an experiment."
-            )
+            raise ProblemError(SAYS["no_records"].format(self))
         try:
             found = self.records()
         except OedSysidError:
@@ -295,10 +287,7 @@ class Problem:
                 f"{type(error).__name__}: {str(error) or 'no message'}."
             ) from error
         if not isinstance(found, Dataset):
-            raise ProblemError(
-                f"The records of problem {self.name!r} are a {type(found).__name__}, expected a "
-                "Dataset."
-            )
+            raise ProblemError(SAYS["no_dataset"].format(self, kind=type(found).__name__))
         return found
 
     def notes(self) -> tuple[str, ...]:

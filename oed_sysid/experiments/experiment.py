@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from oed_sysid.errors import DesignError, located
+from oed_sysid.experiments import SAYS
 from oed_sysid.experiments.manoeuvres import Combined, Excitation, Manoeuvre
 from oed_sysid.physics.channels import settle
 from oed_sysid.physics.model import Model
@@ -57,10 +58,7 @@ class Limits:
             object.__setattr__(self, kind, ranges)
         for name, rate in self.rates.items():
             if isinstance(rate, str | None) or not np.ndim(rate) == 0 or not rate > 0:
-                raise DesignError(
-                    f"Limit of the rate of {name!r} is {rate}; it must be above zero. "
-                    "Leave the name out for no limit."
-                )
+                raise DesignError(SAYS["rate_limit"].format(name=name, rate=rate))
         object.__setattr__(self, "rates", {n: float(r) for n, r in self.rates.items()})
 
     def violations(self, times: np.ndarray, signals: Mapping[str, np.ndarray]) -> tuple[str, ...]:
@@ -200,19 +198,12 @@ class Experiment:
     def check_limits(self, *broken: str) -> None:
         """Raise :class:`DesignError` where limits are broken, said in words."""
         if broken:
-            raise DesignError(
-                f"Experiment {self.name!r} breaks its limits: {'; '.join(broken)} (SI, "
-                "angles in rad). Make the manoeuvre smaller or slower (Saturated, RateLimited), or "
-                "widen the limit."
-            )
+            raise DesignError(SAYS["beyond_limits"].format(self, broken="; ".join(broken)))
 
     def _check_times(self, owner: str) -> None:
         """Refuse a run without end, without samples, or of more than there is room for."""
         if self.duration is None:
-            raise DesignError(
-                f"{owner} has no duration, and its manoeuvre has no natural end. "
-                "Give duration in seconds."
-            )
+            raise DesignError(SAYS["no_duration"].format(owner=owner))
         for key in ("duration", "sample_time"):
             given = getattr(self, key)
             if isinstance(given, str | bool) or np.ndim(given):
@@ -220,10 +211,7 @@ class Experiment:
         if not 0 < self.sample_time < math.inf:
             raise DesignError(f"{owner} has sample_time {self.sample_time}. Give seconds above 0.")
         if not self.sample_time <= self.duration < math.inf:
-            raise DesignError(
-                f"{owner} lasts {self.duration} s with a sample every {self.sample_time} s. "
-                "Give a duration of several samples."
-            )
+            raise DesignError(SAYS["short_run"].format(self, owner=owner))
         if self.duration > TABLE_BYTES / np.dtype(float).itemsize * self.sample_time:
             raise DesignError(
                 f"{owner} lasts {self.duration:g} s with a sample every {self.sample_time:g} s: "
@@ -281,10 +269,7 @@ class Experiment:
         known = self.known_commands()
         wanted = tuple(names)
         if self.reacts:
-            raise DesignError(
-                f"Experiment {self.name!r} reacts to what is measured, so its commands are not "
-                "known in advance. Simulate it."
-            )
+            raise DesignError(SAYS["reacts"].format(self))
         if missing := [name for name in wanted if name not in known]:
             raise DesignError(self._no_command(missing))
         columns = [known[name] for name in wanted]
@@ -298,10 +283,7 @@ class Experiment:
         return known
 
     def _no_command(self, missing: Sequence[str]) -> str:
-        return (
-            f"Experiment {self.name!r} says nothing about the input(s) {', '.join(missing)}. "
-            f"Give constants={{{missing[0]!r}: value}} or a manoeuvre."
-        )
+        return SAYS["no_command"].format(self, names=", ".join(missing), missing=missing)
 
     def check_model(self, model: Model) -> None:
         """Raise :class:`DesignError` if the experiment does not fit a model."""
@@ -357,10 +339,7 @@ def _range(kind: str, name: str, given: Sequence[float]) -> tuple[float, float]:
     except (TypeError, ValueError):
         pair = ()
     if len(pair) != 2 or not pair[0] < pair[1]:
-        raise DesignError(
-            f"Limit of {kind[:-1]} {name!r} is {given}; expected (lower, upper) with lower below "
-            "upper. Use infinity for an open side."
-        )
+        raise DesignError(SAYS["no_range"].format(kind=kind[:-1], name=name, given=given))
     return pair[0], pair[1]
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from oed_sysid.errors import DataError
+from oed_sysid.experiments import SAYS
 from oed_sysid.experiments.base import FloatArray, Numbers
 from oed_sysid.runtime.constants import BEYOND, IMMATERIAL, MATERIAL
 from oed_sysid.runtime.display import Report, as_dict, as_text
@@ -225,10 +226,7 @@ def zigzag_indices(
             break
         peaks.append((peak[1] - sign * float(at_execute[index + 1]), peak[0] - begin))
     if not peaks:
-        raise DataError(
-            f"The record ends at {moments[-1]:g} s, before the heading turns back after the rudder "
-            f"reversal at {executes[1]:.4g} s. Record the zigzag for longer."
-        )
+        raise DataError(SAYS["zigzag_ends"].format(end=moments[-1], reversal=executes[1]))
     overshoots, check_times = zip(*peaks, strict=True)
     track = None
     if speed is not None:
@@ -312,11 +310,7 @@ def turning_indices(
     during = moments >= begin
     side = 1 if np.max(change[during]) >= -np.min(change[during]) else -1
     if (turned := float(np.max(side * change[during]))) < math.pi:
-        raise DataError(
-            f"The turn reaches {math.degrees(turned):.1f} degrees of heading change, but the "
-            "tactical diameter is defined at 180. Record a longer turn (540 degrees are usual), "
-            "or check that heading is in radians."
-        )
+        raise DataError(SAYS["short_turn"].format(turned=math.degrees(turned)))
     origin = np.interp(begin, moments, north), np.interp(begin, moments, east)
     # Axes of the approach: along the original course, and to starboard of it.
     along = (north - origin[0]) * math.cos(course) + (east - origin[1]) * math.sin(course)
@@ -363,10 +357,7 @@ def columns(times: Numbers, **signals: Numbers) -> tuple[FloatArray, ...]:
     """Return the times and each signal as arrays ``(n_times,)``, or raise DataError."""
     moments = np.asarray(times, dtype=float)
     if moments.ndim != 1 or len(moments) < 3 or not np.all(np.diff(moments) > 0):
-        raise DataError(
-            f"The manoeuvre has times of shape {moments.shape}; expected at least 3 increasing "
-            "times in one dimension. Sort the record and remove repeated times."
-        )
+        raise DataError(SAYS["times_of_manoeuvre"].format(shape=moments.shape))
     arrays = [moments]
     for name, values in signals.items():
         array = np.asarray(values, dtype=float)
@@ -376,10 +367,7 @@ def columns(times: Numbers, **signals: Numbers) -> tuple[FloatArray, ...]:
                 "Give one value per time."
             )
         if missing := np.count_nonzero(~np.isfinite(array)):
-            raise DataError(
-                f"The manoeuvre has {missing} missing value(s) in {name!r}. Its indices are "
-                "points on a curve: leave out these samples, or fill them."
-            )
+            raise DataError(SAYS["missing_values"].format(missing=missing, name=name))
         arrays.append(array)
     return tuple(arrays)
 

@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from oed_sysid.errors import ModelError, listed
-from oed_sysid.experiments import base
+from oed_sysid.experiments import SAYS, base
 from oed_sysid.experiments.base import Numbers, Rule
 from oed_sysid.experiments.schedules import interval
 
@@ -49,10 +49,7 @@ class SlopeLimit:
     def follow(self, order: float, time: float) -> float:
         """Return the command at ``time`` [s] and remember the order given there."""
         if self._time is not None and time < self._time:
-            raise ModelError(
-                f"A controller was asked for {time:g} s after {self._time:g} s. Call it with "
-                "increasing times, and make a fresh controller() for each run."
-            )
+            raise ModelError(SAYS["earlier_time"].format(self, time=time))
         if self._rate is None:
             self._command = order
         elif self._time is not None:
@@ -425,10 +422,7 @@ class Combined(base.Excitation):
     def __post_init__(self) -> None:
         self._set(manoeuvres=_parts("Combined", self.manoeuvres))
         if len(set(self.inputs)) < len(self.inputs):
-            raise ModelError(
-                f"Combined has inputs {', '.join(self.inputs)}; each may be commanded once only. "
-                "Use Sequence for one manoeuvre after another."
-            )
+            raise ModelError(SAYS["commanded_twice"].format(inputs=", ".join(self.inputs)))
 
     @property
     def parts(self) -> tuple[base.Manoeuvre, ...]:
@@ -493,10 +487,7 @@ class Sequence(base.Stepwise):
         if self.durations is None:
             for part in parts[:-1]:
                 if part.duration is None:
-                    raise ModelError(
-                        f"{self._owner} cannot know how long the {type(part).__name__} takes. "
-                        "Give durations, one for each manoeuvre."
-                    )
+                    raise ModelError(SAYS["endless_part"].format(self, part=type(part).__name__))
             return
         times = base.each_positive("")(self._owner, "durations", self.durations)
         if len(times) not in (len(parts), len(parts) - 1):
@@ -640,10 +631,7 @@ def _parts(owner: str, manoeuvres: abc.Iterable[base.Manoeuvre]) -> tuple[base.M
         raise ModelError(f"{owner} has no manoeuvres. Give at least one.")
     for part in parts:
         if not isinstance(part, base.Manoeuvre):
-            raise ModelError(
-                f"{owner} got a {type(part).__name__}; it takes manoeuvres on one input each, "
-                "such as ZigZag or Constant."
-            )
+            raise ModelError(SAYS["no_manoeuvre"].format(owner=owner, kind=type(part).__name__))
     return parts
 
 

@@ -23,6 +23,7 @@ import numpy as np
 from oed_sysid.compiled.kernels import Run, kernel
 from oed_sysid.data.dataset import Record
 from oed_sysid.errors import SimulationError
+from oed_sysid.experiments import SAYS
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import command_all
 from oed_sysid.experiments.steady import Equilibrium, equilibrium, linearise
@@ -166,9 +167,7 @@ def _draw_noise(
     stds = {output.name: output.noise_std for output in model.outputs} | dict(experiment.noise)
     if unknown := [name for name, std in stds.items() if std is None]:
         raise SimulationError(
-            f"The noise of {', '.join(unknown)} is not known. Give Output(noise_std=...), "
-            f"Experiment(noise={{{unknown[0]!r}: ...}}), or simulate without noise (noise=False, "
-            "on the command line --no-noise)."
+            SAYS["unknown_noise"].format(names=", ".join(unknown), unknown=unknown)
         )
     if not (scales := np.array([stds[name] for name in model.output_names], dtype=float)).any():
         return np.zeros((n_times, len(scales)))

@@ -43,6 +43,7 @@ from oed_sysid.errors import (
     listed,
     located,
 )
+from oed_sysid.experiments import SAYS
 from oed_sysid.experiments.catalogue import FILE, load_problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.runtime.files import make_folder, write_text
@@ -119,10 +120,7 @@ def new_problem(
     place = Path(folder).expanduser()
     name = _identifier(place.resolve().name)
     if place.exists() and (not place.is_dir() or any(place.iterdir())):
-        raise ProblemError(
-            f"{place} exists already and is not an empty folder. Give a new name, or go on with "
-            "it: oed-sysid problems FOLDER, in Python oed_sysid.load_problem(folder)."
-        )
+        raise ProblemError(SAYS["folder_exists"].format(place=place))
     located(ProblemError, "This package has no template", [template], TEMPLATES)
     words = {
         "name": name,
@@ -253,11 +251,7 @@ def _told(log: Path, place: Path, inputs: tuple[str, ...]) -> tuple[Path, tuple[
     if mapping is None and names:
         return None
     if mapping is None:
-        raise ProblemError(
-            f"No field of {log.name} is told as a command by its name, or none as a measured "
-            f"motion: {listed(opened.names)}. Name commands with inputs=(...), or --input on the "
-            f"command line; or make records first: oed-sysid import {log.name} --map FILE."
-        )
+        raise ProblemError(SAYS["no_commands_told"].format(log=log, names=listed(opened.names)))
     data = place / "data"
     make_folder(data)
     (record,) = import_log(opened, mapping).dataset

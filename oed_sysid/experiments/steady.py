@@ -140,10 +140,7 @@ def equilibrium(
         raise SimulationError(f"{', '.join(sorted(both))} is both given and free. Choose one.")
     for name in model.input_names:
         if name not in {*given, *wanted}:
-            raise SimulationError(
-                f"The input {name!r} is neither given nor free. Pass inputs={{{name!r}: value}} "
-                f"or free=[{name!r}]."
-            )
+            raise SimulationError(SAYS["neither_given_nor_free"].format(name=name))
     unknowns = tuple(name for name in order if name in {*depended, *wanted} - given.keys())
     point = np.array([known[name] for name in order])
     rows, columns = [*map(names.index, target)], [*map(order.index, unknowns)]
