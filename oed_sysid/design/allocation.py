@@ -35,7 +35,7 @@ from itertools import combinations
 
 import numpy as np
 
-from oed_sysid.design.criteria import NOTHING, AOptimal, Criterion, DOptimal, Measure
+from oed_sysid.design.criteria import NOTHING, SAYS, AOptimal, Criterion, DOptimal, Measure
 from oed_sysid.errors import DesignError
 from oed_sysid.runtime.constants import NEGLIGIBLE
 
@@ -292,10 +292,7 @@ def select(library: Library, shares: Weights, begin: Sequence[np.ndarray] = ()) 
     """
     none = np.zeros(library.n_runs, dtype=int)
     if not len(alone := library.fits(none)):
-        raise DesignError(
-            f"Not even the shortest run ({library.costs.min() / 60:.3g} min with its turnaround) "
-            "fits. Give more time."
-        )
+        raise DesignError(SAYS["no_run_fits"].format(minutes=library.costs.min() / 60))
 
     def both(counts: np.ndarray) -> list[np.ndarray]:
         return [_filled(library, counts, per_cost=flag) for flag in (True, False)]

@@ -597,10 +597,7 @@ def accuracy_range(
         names = found.names
         errors.append(found.std_errors / [model.parameter(name).reference for name in names])
     if len(errors) < max(2, n_draws // 2):
-        raise DesignError(
-            f"The runs stay finite on {len(errors)} of {n_draws} vehicles only, so that no range "
-            "can be stated. Make them gentler, or shorter."
-        )
+        raise DesignError(SAYS["no_range_of_accuracy"].format(n=len(errors), n_draws=n_draws))
     sea = noise.noise if isinstance(noise, Fit) else noise
     kept = sea if isinstance(sea, NoiseModel) and not sea.is_white else None
     low, high = np.min(errors, axis=0), np.max(errors, axis=0)

@@ -40,6 +40,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.design.assurance import AbortRule
+from oed_sysid.design.criteria import SAYS
 from oed_sysid.design.library import as_piecewise
 from oed_sysid.design.vehicles import outside, quantity, units_of
 from oed_sysid.errors import DesignError, FileError, library, located
@@ -238,11 +239,7 @@ def _mission(plan: dict[str, Any], servos: Mapping[str, Servo]) -> list[str]:
     """Lines of a mission: servos, then the time until the next order; trim commands at the end."""
     name = _with_servos(plan, servos)["name"]
     if loops := [one["input"] for one in plan["channels"] if one["kind"] != "table"]:
-        raise DesignError(
-            f"The run {name!r} reacts in {', '.join(loops)}, and a mission has no feedback. Take a "
-            "controller of the kind 'ardupilot', or the mission of its table (design.played), "
-            "which is another run."
-        )
+        raise DesignError(SAYS["mission_reacts"].format(name=name, loops=", ".join(loops)))
     orders: dict[float, dict[str, float]] = {0.0: dict(plan["constants"])}
     for one in plan["channels"]:
         for time, value in zip(one["times"], one["values"], strict=True):
@@ -284,10 +281,7 @@ def _servo_items(
 def _with_servos(plan: dict[str, Any], servos: Mapping[str, Servo]) -> dict[str, Any]:
     """The plan with the calibration of its servos, which have to reach what is ordered."""
     if missing := [name for name in plan["trim"] if name not in servos]:
-        raise DesignError(
-            f"The file needs a servo for {', '.join(missing)}: "
-            f"servos={{{missing[0]!r}: Servo(1, -0.4, 0.4)}}."
-        )
+        raise DesignError(SAYS["no_servo"].format(names=", ".join(missing), missing=missing))
     for one in plan["channels"]:
         most = [s * a for a in one.get("amplitudes", ()) for s in (-1, 1)]
         servos[one["input"]].pulses(np.array([one["trim"] + a for a in most] or one["values"]))
@@ -419,10 +413,7 @@ class Servo:
             )
         shortest, longest = sorted((self.lowest, self.highest))
         if not 500 <= shortest < longest <= 2500:
-            raise DesignError(
-                f"The servo's pulses are {self.lowest} and {self.highest} us. Give two different "
-                "ones between 500 and 2500."
-            )
+            raise DesignError(SAYS["servo_pulses"].format(self))
 
     def pulses(self, commands: np.ndarray) -> np.ndarray:
         """Pulses of commands ``(n_times,)``, microseconds.

@@ -688,10 +688,7 @@ class Logbook:
             kept = decode(read_json(place), kinds)
             data = {name: kept[name] for name in _KEPT}
         except (DataError, KeyError, TypeError) as error:
-            raise FileError(
-                f"{str(place)!r} is no journal of a campaign ({error}). Begin another one, or "
-                "restore it from a copy."
-            ) from None
+            raise FileError(SAYS["no_journal"].format(place=str(place), error=error)) from None
         model = load_problem(data["problem"], variant=data["variant"]).model
         found = cls(Path(folder), model, **data)
         if not found.records:
@@ -756,11 +753,7 @@ class Logbook:
     def decide(self) -> Decision:
         """Stop, or what to run next."""
         if self.fit is not None and not self.fit.status.ok:
-            raise DesignError(
-                f"The estimation from {len(self.records)} records did not converge "
-                f"({self.fit.status}). Look at the records (oed-sysid check), or fix parameters "
-                "that they do not show."
-            )
+            raise DesignError(SAYS["not_converged"].format(self, n=len(self.records)))
         fitted = self.fit is not None and not self.fit.noise.is_white
         return decide(
             self.fit or self.model,

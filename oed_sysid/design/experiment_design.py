@@ -257,11 +257,7 @@ class _Finder:
                 rng=self.rng,
             )
         if not first:
-            raise DesignError(
-                f"All {search.n_candidates} rough manoeuvres make model {task.model.name!r} "
-                "diverge: it is unstable on its own. Design a shorter run, or in Python a closed "
-                "loop, search=Search(family=ZigZags(...))."
-            )
+            raise DesignError(SAYS["all_diverge"].format(search=search, task=task))
         reached, nearest, values = refine_all(
             objective, first, n_steps=search.n_steps, progress=self.progress, keep=self.keep
         )
@@ -311,10 +307,7 @@ def _closed(task: Task, family: ZigZags, objective: Objective) -> _Found:
     """The zigzag of the library that tells most, closed over each vehicle."""
     n = len(task.scenarios)
     if len(task.grid.inputs) != 1:
-        raise DesignError(
-            f"A zigzag commands one input, not {', '.join(task.grid.inputs)}. Give inputs=[one of "
-            "them] and constants for the others."
-        )
+        raise DesignError(SAYS["zigzag_of_one"].format(inputs=", ".join(task.grid.inputs)))
     kept = 1.0 - task.n_waived / n if n else 1.0
     bench = replace(_bench(task), vehicles=task.scenarios, kept=kept, feedback=family.feedback)
     scored = []
@@ -323,10 +316,7 @@ def _closed(task: Task, family: ZigZags, objective: Objective) -> _Found:
             score = objective.score(np.zeros(0), commands=made.inputs, with_scenarios=False)
             scored += [(score, run)] if score.feasible else []
     if not scored:
-        raise DesignError(
-            f"No zigzag on {bench.attitude or 'an attitude'} keeps all limits. Widen them, shorten "
-            "the run, or do a gentle trial first and design from its fit."
-        )
+        raise DesignError(SAYS["no_zigzag"].format(attitude=bench.attitude or "an attitude"))
     best, loop = max(scored, key=lambda one: one[0].value)
     values = tuple(score.value for score, _ in scored)
     return _Found(best, replace(loop, name=task.trial.name), values, objective.n_evaluations)
@@ -340,10 +330,7 @@ def _check_start(task: Task) -> None:
     )
     first = {name: run.signal(name)[:1] for name in limits}
     if at_start := Limits(signals=dict(limits)).violations(run.times[:1], first):
-        raise DesignError(
-            f"The start already breaks the limits: {'; '.join(at_start)}. Change the start "
-            "(initial, on the command line --like with another experiment) or the limits."
-        )
+        raise DesignError(SAYS["start_breaks"].format(broken="; ".join(at_start)))
 
 
 def _infeasible(task: Task, nearest: Score) -> str:
@@ -459,10 +446,7 @@ def campaign(
         records = (*records, record)
         fit = estimator.fit(start, Dataset(records))
         if not fit.status.ok:
-            raise DesignError(
-                f"After run {name!r} the estimation did not converge ({fit.status}). Fix "
-                "parameters that the runs do not show, or begin with a run of another kind."
-            )
+            raise DesignError(SAYS["run_not_converged"].format(name=name, fit=fit))
         stages.append(Stage(found, record, fit))
         nominal, start = fit, fit.model
     return tuple(stages)

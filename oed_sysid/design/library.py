@@ -33,6 +33,7 @@ from typing import TypeVar
 import numpy as np
 
 from oed_sysid.data.recognise import RATES
+from oed_sysid.design.criteria import SAYS
 from oed_sysid.design.vehicles import LimitBounds, kept_on, units_of
 from oed_sysid.design.waveforms import SIZES, Grid, trim_within
 from oed_sysid.errors import DesignError, located
@@ -234,10 +235,7 @@ def candidate_runs(
                 run = replace(experiment, name=said)
                 found.append(Candidate(run, kind, length + turnaround, share))
     if not found:
-        raise DesignError(
-            "No run of any kind keeps the limits on the vehicles that are possible. Widen the "
-            "limits, shorten the runs, or begin with a gentle run and plan from its fit."
-        )
+        raise DesignError(SAYS["no_candidate"])
     return tuple(found)
 
 
@@ -330,10 +328,7 @@ class Bench:
         """One for every input that a pattern leaves to be commanded, the others at trim."""
         held = dict(pattern.constants)
         if not (names := [n for n in model.input_names if n in limits.inputs and n not in held]):
-            raise DesignError(
-                f"Pattern {pattern.name!r} leaves no input with a range to command. Give "
-                "Limits(inputs={'rudder': (-0.3, 0.3)}), on the command line --limit rudder=-17:17."
-            )
+            raise DesignError(SAYS["nothing_to_command"].format(pattern=pattern))
         trims = {name: trim_within(*limits.inputs[name]) for name in names}
         bounds, made = LimitBounds.of(model, limits), []
         for name in names:

@@ -29,7 +29,7 @@ from scipy.optimize import brentq
 
 from oed_sysid.design.allocation import Library, Selection, Weights, order, select, weights
 from oed_sysid.design.assurance import AccuracyRange, Assurance, assess_limits
-from oed_sysid.design.criteria import AOptimal, Criterion, EOptimal, inverse
+from oed_sysid.design.criteria import SAYS, AOptimal, Criterion, EOptimal, inverse
 from oed_sysid.design.experiment_design import find_design
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
 from oed_sysid.design.library import KINDS, Candidate, as_piecewise, candidate_runs
@@ -77,10 +77,7 @@ class Budget:
 
     def __post_init__(self) -> None:
         if self.hours is None and self.n_runs is None:
-            raise DesignError(
-                "A programme needs an end. Give Budget(hours=...), Budget(n_runs=...), or both; on "
-                "the command line --hours and --runs."
-            )
+            raise DesignError(SAYS["no_end"])
 
 
 @dataclass(frozen=True)

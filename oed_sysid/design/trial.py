@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.design.assurance import Assurance, assess_limits
+from oed_sysid.design.criteria import SAYS
 from oed_sysid.design.knowledge import ExpectedInformation
 from oed_sysid.design.library import ZigZags, as_piecewise
 from oed_sysid.design.vehicles import (
@@ -73,10 +74,7 @@ class Trial:
 
     def __post_init__(self) -> None:
         if not (self.sample_time > 0 and self.duration >= 10 * self.sample_time):
-            raise DesignError(
-                f"A run of {self.duration} s with a sample every {self.sample_time} s cannot be "
-                "designed. Give a duration of ten samples or more."
-            )
+            raise DesignError(SAYS["short_run"].format(self))
         for name in ("constants", "initial"):
             values = {key: float(value) for key, value in getattr(self, name).items()}
             object.__setattr__(self, name, values)
@@ -104,25 +102,14 @@ class Trial:
         limits.check_names(model)
         free = (n for n in model.input_names if n in limits.inputs and n not in held)
         if not (names := tuple(free if self.inputs is None else self.inputs)):
-            raise DesignError(
-                "No input is left to design. Give its range: Limits(inputs={'rudder': (-0.3, "
-                "0.3)}), on the command line --limit rudder=-17:17."
-            )
+            raise DesignError(SAYS["nothing_to_design"])
         located(DesignError, f"Model {model.name!r} has no input", names, model.input_names)
         for name in names:
             if not np.all(np.isfinite(limits.inputs.get(name, np.inf))):
-                raise DesignError(
-                    f"The input {name!r} is to be designed but has no finite range. Give "
-                    f"Limits(inputs={{{name!r}: (lower, upper)}}), on the command line "
-                    f"--limit {name}=LOWER:UPPER."
-                )
+                raise DesignError(SAYS["no_finite_range"].format(name=name))
         for name in model.input_names:
             if name not in (*names, *held):
-                raise DesignError(
-                    f"The input {name!r} is neither designed nor constant. Give "
-                    f"constants={{{name!r}: value}} or a range in the limits, on the command line "
-                    f"--limit {name}=LOWER:UPPER or --like with an experiment that holds it."
-                )
+                raise DesignError(SAYS["input_left_open"].format(name=name))
         located(DesignError, f"Model {model.name!r} has no state", self.initial, model.state_names)
         return names
 

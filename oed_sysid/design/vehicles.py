@@ -41,7 +41,7 @@ import numpy as np
 from scipy.special import betaincinv
 
 from oed_sysid.compiled.kernels import Run, kernel
-from oed_sysid.design.criteria import Criterion
+from oed_sysid.design.criteria import SAYS, Criterion
 from oed_sysid.errors import DesignError, OedSysidError, located
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import Trajectory, trajectory_of
@@ -252,10 +252,7 @@ DOUBT = 3.0
 def check_spread(spread: float | None) -> None:
     """Refuse a relative half-width of uniform draws that is none."""
     if spread is not None and not 0 < spread < 1:
-        raise DesignError(
-            f"There is no spread {spread}. Give a number between 0 and 1, or None to draw from "
-            "what is known."
-        )
+        raise DesignError(SAYS["no_spread"].format(spread=spread))
 
 
 @dataclass(frozen=True)
@@ -450,11 +447,7 @@ class Caution:
 
     def __post_init__(self) -> None:
         if not 0.5 <= self.probability < 1 or min(self.n_sets, self.n_checks) < 20:
-            raise DesignError(
-                f"Caution has probability {self.probability}, {self.n_sets} sets and "
-                f"{self.n_checks} checks. Give a probability from 0.5 to below 1 and 20 or more "
-                "of both."
-            )
+            raise DesignError(SAYS["caution"].format(self))
         check_spread(self.spread)
 
 
