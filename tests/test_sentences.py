@@ -1,8 +1,9 @@
-"""Sentences of a search: every row that is asked for is there, and has its facts."""
+"""Tables of sentences: every row that is asked for is there, and has its facts."""
 
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from string import Formatter
@@ -10,9 +11,21 @@ from string import Formatter
 import pytest
 
 import oed_sysid
+from oed_sysid import data, experiments
+from oed_sysid.design import criteria
 from oed_sysid.evidence.sentences import SAYS, say
+from oed_sysid.information import response
+from oed_sysid.text import csv_table
 
-ROOM = Path(oed_sysid.__file__).parent / "evidence"
+PACKAGE = Path(oed_sysid.__file__).parent
+ROOM = PACKAGE / "evidence"
+PAGES = {
+    "data": data.SAYS,
+    "design": criteria.SAYS,
+    "experiments": experiments.SAYS,
+    "information": response.SAYS,
+    "text": csv_table.SAYS,
+}
 
 
 def _asked() -> Iterator[tuple[str, str, set[str | None]]]:
@@ -38,3 +51,31 @@ def test_every_kind_of_what_is_left_has_its_sentence() -> None:
     assert set(SAYS["remains"]) == kinds
     assert {"missing", "unexplained", "nothing_missing"} <= set(SAYS["answer"])
     assert say("search", "better", times=2.345).endswith("2.3 times better.")
+
+
+def _said(room: str) -> Iterator[tuple[str, set[str] | None]]:
+    """Row, and names of facts where the row takes any, of every ``SAYS[...]`` of a package."""
+    for path in sorted((PACKAGE / room).glob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        formed = {}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "format":
+                keywords = {one.arg for one in node.keywords}
+                if None not in keywords:  # facts by **, which only a run shows
+                    facts = {*map(str, range(len(node.args))), *filter(None, keywords)}
+                    formed[id(node.func.value)] = facts  # type: ignore[attr-defined]
+        for node in ast.walk(tree):
+            match node:
+                case ast.Subscript(ast.Name("SAYS"), ast.Constant(str(row))):
+                    yield row, formed.get(id(node))
+
+
+@pytest.mark.parametrize("room", PAGES)
+def test_what_is_refused_has_its_sentence(room: str) -> None:
+    """Every row that a package says is in its table, once, and all facts of it are given."""
+    asked = list(_said(room))
+    assert {row for row, _ in asked} <= set(PAGES[room])
+    for row, facts in asked:
+        if facts is not None:
+            fields = [field for _, field, _, _ in Formatter().parse(PAGES[room][row])]
+            assert {re.split(r"[.\[]", one)[0] for one in fields if one} == facts, row

@@ -28,6 +28,7 @@ from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information.noise import Levels, noise_of
 from oed_sysid.information.response import (
+    SAYS,
     CommandedRun,
     Innovations,
     Run,
@@ -262,10 +263,7 @@ def prior_factor(
         return rows
     if isinstance(priors, str):
         if priors != "model":
-            raise DesignError(
-                f"priors is {priors!r}. Choose 'model', None, standard deviations by name, or an "
-                "Information."
-            )
+            raise DesignError(SAYS["priors"].format(priors=priors))
         own = {p.name: p.prior_spread for p in model.free_parameters if p.name in names}
         priors = {name: std for name, std in own.items() if std is not None}
     return np.diag(_weights("prior", names, priors))
@@ -430,10 +428,7 @@ def confirm_bound(
 
     good = [(errors, stated) for ok, errors, stated in map(one, rng.spawn(n_runs)) if ok]
     if len(good) < 3:
-        raise DesignError(
-            f"Only {len(good)} of {n_runs} estimations converged; the experiments do not determine "
-            "the parameters. See information_of(...).null_directions()."
-        )
+        raise DesignError(SAYS["few_converged"].format(n=len(good), n_runs=n_runs))
     errors, stated = (np.array(part) for part in zip(*good, strict=True))
     predicted = information.std_errors
     return Confirmation(

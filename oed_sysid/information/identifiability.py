@@ -10,18 +10,16 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 from math import sqrt
-from typing import Any
 
 import numpy as np
 
 from oed_sysid.errors import DesignError, SimulationError, listed, located
 from oed_sysid.information.bound import RunInformation
-from oed_sysid.information.response import CommandedRun, respond
+from oed_sysid.information.response import SAYS, CommandedRun, respond
 from oed_sysid.likelihood.fit import ALIKE
 from oed_sysid.likelihood.information import Information
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Report, Section, Table, as_dict, as_text, share
-from oed_sysid.runtime.tables import tables
 from oed_sysid.text import notation
 
 
@@ -70,8 +68,6 @@ def collinearity_index(information: Information, names: Sequence[str] | None = N
     return float(1.0 / smallest) if smallest > 1e-14 else float(np.inf)
 
 
-# Sentences of the information in runs.
-SAYS: dict[str, Any] = tables(__file__, "sentences")
 # Up to here all sets are looked at that could be larger than the best one found: 2^17 at most.
 ENUMERATED = 17
 # A parameter of which nothing is known has a value that is wrong by this share.
@@ -589,10 +585,7 @@ def structural_identifiability(
         return told.joint(factors, None) if factors else None
 
     if not (found := [*filter(None, (at_random_values() for _ in range(n_points)))]):
-        raise DesignError(
-            f"No random run of model {model.name!r} stays finite. Make the ranges of the inputs "
-            "smaller, the runs shorter, or give initial={...} in the operating range."
-        )
+        raise DesignError(SAYS["none_finite"].format(model=model))
     # Rank may drop at special values; the largest one met is that of almost all values.
     best = max(found, key=lambda information: information.rank)
     _, values, _, _ = best._svd

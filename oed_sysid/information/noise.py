@@ -65,7 +65,7 @@ from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate_inputs, trajectory_of
 from oed_sysid.experiments.steady import Equilibrium, linearise
-from oed_sysid.information.response import Levels, acting
+from oed_sysid.information.response import SAYS, Levels, acting
 from oed_sysid.likelihood.between_records import FEWEST
 from oed_sysid.likelihood.disturbances import Place, chosen_places, with_disturbance_inputs
 from oed_sysid.likelihood.fit import Fit
@@ -110,10 +110,7 @@ def noise_of(
     stds |= {**_by_output(model, levels), **(changed or {})}
     for name, std in stds.items():
         if std is None or not (np.isfinite(std) and std > 0):
-            raise DesignError(
-                f"The noise of {name!r} is {std}. Accuracy cannot be predicted without it: give "
-                f"Output(noise_std=...) or noise={{{name!r}: standard deviation}}."
-            )
+            raise DesignError(SAYS["no_noise"].format(name=name, std=std))
     return np.array([stds[name] for name in model.output_names], dtype=float)
 
 
@@ -125,10 +122,7 @@ def _by_output(model: Model, levels: Levels) -> Mapping[str, float]:
         return levels or {}
     given = np.asarray(levels, dtype=float)
     if given.shape != (len(names),):
-        raise DesignError(
-            f"There are {given.size} noise levels for the outputs {', '.join(names)}. "
-            "Give one each."
-        )
+        raise DesignError(SAYS["noise_levels"].format(given=given, names=", ".join(names)))
     return dict(zip(names, given.tolist(), strict=True))
 
 
@@ -234,10 +228,7 @@ def _in_words(
 def _of_fit(calm: NoiseModel, model: Model, path: str) -> NoiseModel:
     """The sensors' noise with the forces that a saved fit has estimated."""
     if (found := Fit.load(path).noise) is None or not found.has_forces:
-        raise DesignError(
-            f"The fit {path!r} found no disturbance forces. Say still, or take the fit of a record "
-            "in such a sea."
-        )
+        raise DesignError(SAYS["no_forces_found"].format(path=path))
     found = acting(model, found)
     return replace(found, white=calm.white, colour=calm.colour, colour_time=calm.colour_time,
                    outputs=calm.outputs)  # fmt: skip
@@ -248,10 +239,7 @@ def _understood(sea: str) -> tuple[str | None, dict[str, float]]:
     parts = [part.strip() for part in sea.split(",") if part.strip()]
     word = parts.pop(0) if parts and "=" not in parts[0] else None
     if word is not None and word not in SEAS:
-        raise DesignError(
-            f"The sea {sea!r} is not understood. Say {', '.join(SEAS)}, levels by equation such as "
-            "Z=0.3,M=0.06,time=2, a swell such as swell=0.3m,8s,030deg, or the file of a fit."
-        )
+        raise DesignError(SAYS["no_sea"].format(sea=sea, words=", ".join(SEAS)))
     given = {}
     for part in parts:
         name, _, number = map(str.strip, part.partition("="))
@@ -438,10 +426,7 @@ class Swell:
         place = chosen_places(model, "all")
         axes = [model.axes.get(one.signal, one.signal) for one in place]
         if unknown := [name for name in axes if name not in (*_VELOCITIES, *_RATES)]:
-            raise DesignError(
-                f"A height of waves becomes forces on velocities u, v, w, p, q, r; model "
-                f"{model.name!r} has an equation of {unknown[0]!r}. Give levels by equation."
-            )
+            raise DesignError(SAYS["waves_on_other_axes"].format(model=model, unknown=unknown))
         straight, commands = _straight(model, runs)
         if (speed := straight.get("u")) is None:
             speed = self._known(model, "speed", self.speed, "speed=1.5")
@@ -472,10 +457,7 @@ class Swell:
         omega = 2.0 * pi / self.period
         met = abs(omega - omega**2 / GRAVITY * speed * cos(self.direction + pi))
         if not met > 1e-9 * omega:
-            raise DesignError(
-                f"At {speed:g} m/s the vehicle runs as fast as waves of {self.period:g} s: it does "
-                "not meet them. Choose another heading."
-            )
+            raise DesignError(SAYS["as_fast_as_waves"].format(self, speed=speed))
         return 2.0 * pi / met
 
     def _water(self, length: float, depth: float) -> dict[str, complex]:

@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,10 @@ from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.start_guess import check_channels, first_state
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.constants import THREE_DIGITS
+from oed_sysid.runtime.tables import tables
 
+# Sentences of the information in runs.
+SAYS: dict[str, Any] = tables(__file__, "sentences")
 Run = Experiment | Record
 # Standard deviations of the outputs' noise.
 Levels = Mapping[str, float] | Sequence[float] | np.ndarray | None
@@ -282,10 +286,7 @@ class Innovations:
         free = tuple(name for name in model.free_names if name not in self.disturbances)
         values = wide.value_vector
         if not (nominal := kernel.simulate(given.times, given.inputs, values, given.initial)).ok:
-            raise DesignError(
-                f"Run {given.name!r} diverges under model {model.name!r}. Make it smaller or "
-                "shorter."
-            )
+            raise DesignError(SAYS["diverges"].format(given=given, model=model))
         # Fed with what the model says, innovations vanish and their derivatives are those at the
         # truth.
         measured = np.where(given.present, nominal.outputs, np.nan)
@@ -294,10 +295,7 @@ class Innovations:
         )
         swept = kernel.filter(along, names=free, rows=True, gains=changes is not None)
         if not swept.ok:
-            raise DesignError(
-                f"The filter of run {given.name!r} diverges. Check levels and times of the "
-                "disturbance forces, or shorten the run."
-            )
+            raise DesignError(SAYS["filter_diverges"].format(given=given))
         seen = np.isfinite(measured)
         rows = swept.rows[seen]
         if changes is None:
@@ -367,8 +365,5 @@ def checked_noise(model: Model, noise: NoiseModel) -> NoiseModel:
         )
     if not np.all(noise.white > 0):
         poor = [n for n, level in zip(names, noise.white, strict=True) if not level > 0]
-        raise DesignError(
-            f"The white noise of {', '.join(poor)} is not above zero. Accuracy cannot be predicted "
-            "without it: give its standard deviation."
-        )
+        raise DesignError(SAYS["no_white_noise"].format(names=", ".join(poor)))
     return noise

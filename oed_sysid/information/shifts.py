@@ -27,7 +27,7 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import DesignError, SimulationError
-from oed_sysid.information.response import TANGENT, CommandedRun
+from oed_sysid.information.response import SAYS, TANGENT, CommandedRun
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
@@ -151,10 +151,7 @@ class Shifts:
             )
             if not run.ok:
                 name = next(g.name for g in self.groups if position in g.columns)
-                raise SimulationError(
-                    f"With {name} of its size run {given.name!r} diverges. Make the run gentler, "
-                    "or give the effect a smaller amplitude."
-                )
+                raise SimulationError(SAYS["too_much_of_it"].format(name=name, given=given))
             found[:, :, position] = self.factors[position] * (run.outputs - outputs)
         return found
 
@@ -167,10 +164,7 @@ def _of_model(nominal: Model, rival: Model) -> _Part:
     """The whole difference that a rival model makes."""
     # Levels of noise may differ: those of the nominal model count.
     if (rival.input_names, rival.output_names) != (nominal.input_names, nominal.output_names):
-        raise DesignError(
-            f"The rival {rival.name!r} has other inputs or outputs than {nominal.name!r}. Give it "
-            "the same channels."
-        )
+        raise DesignError(SAYS["other_channels"].format(rival=rival, nominal=nominal))
     return Group(rival.name, np.arange(1), np.eye(1), 1, {}), [rival], 1.0
 
 
@@ -209,10 +203,7 @@ def two_sided(effect: Effect) -> bool:
 
 def _sizes(effect: Effect, size: float) -> dict[str, float]:
     if not effect.amplitude_names:
-        raise DesignError(
-            f"The effect {effect.name!r} has no amplitude, so that its size cannot be said. Name "
-            "one: amplitudes=('E_...',)."
-        )
+        raise DesignError(SAYS["no_amplitude"].format(effect=effect))
     chosen = [p for p in effect.parameters if p.name in effect.amplitude_names]
     # Beside a known amplitude the others give directions only, whose length is no matter.
     share = TANGENT * size if any(p.value for p in chosen) else size
