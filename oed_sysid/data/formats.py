@@ -810,13 +810,9 @@ class Format(NamedTuple):
         return read_apart(place, self.words, self.advice)
 
 
-_READERS = (
-    *(read_csv_log, read_ulog, read_dataflash, read_bag, read_mcap, read_nmea),
-    *(read_matlab, read_excel, read_parquet),
-)
-_BY_NAME = {reader.__name__: reader for reader in _READERS}
+# The table names the readers above.
 _ROWS = tables(__file__)["formats"]
-FORMATS = [Format(**row | {"reader": _BY_NAME[row["reader"]]}) for row in _ROWS]
+FORMATS = [Format(**row | {"reader": globals()[row["reader"]]}) for row in _ROWS]
 
 
 def format_of(place: Path) -> Format:

@@ -13,19 +13,6 @@ from oed_sysid.data.log import Log, Series
 from oed_sysid.data.mapping import LogMapping, Source, read_mapping
 from oed_sysid.data.recognise import Guess, Recognised, draft, recognise
 from oed_sysid.data.records import Imported, import_log
+from oed_sysid.runtime.version import exported
 
-__all__ = [
-    "Guess",
-    "Imported",
-    "Log",
-    "LogMapping",
-    "Recognised",
-    "Series",
-    "Source",
-    "draft",
-    "import_log",
-    "log_of",
-    "open_log",
-    "read_mapping",
-    "recognise",
-]
+__all__ = exported(globals())

@@ -795,8 +795,7 @@ class Multisine(base.OpenLoop, base.Timed):
 
     def _sum(self, elapsed: FloatArray) -> FloatArray:
         angles = 2 * math.pi * np.multiply.outer(elapsed, np.asarray(self.frequencies))
-        total: FloatArray = np.cos(angles + np.asarray(self.phases)) @ np.asarray(self.amplitudes)
-        return total
+        return np.cos(angles + np.asarray(self.phases)) @ np.asarray(self.amplitudes)
 
 
 def schroeder_phases(amplitudes: Numbers) -> FloatArray:
@@ -817,8 +816,7 @@ def schroeder_phases(amplitudes: Numbers) -> FloatArray:
     """
     power = np.square(np.asarray(amplitudes, dtype=float))
     share = np.concatenate([[0.0], np.cumsum(power / power.sum())[:-1]])
-    phases: FloatArray = -2 * math.pi * np.cumsum(share)
-    return phases
+    return -2 * math.pi * np.cumsum(share)
 
 
 @dataclass(frozen=True)
@@ -882,5 +880,4 @@ class Chirp(base.OpenLoop, base.Timed):
         # A cosine, a quarter of a cycle late.
         ends = self.first_frequency, self.sweep_time, self.last_frequency
         way = {"linear": "linear", "log": "logarithmic"}[self.law]
-        wave: FloatArray = self.amplitude * chirp(elapsed, *ends, method=way, phi=-90)
-        return wave
+        return self.amplitude * chirp(elapsed, *ends, method=way, phi=-90)

@@ -474,8 +474,7 @@ class Report:
 
     def drawn(self) -> Report:
         """Return the document with its figures drawn, so that it depends on no result."""
-        drawn: Report = import_module(WRITER).drawn(self)
-        return drawn
+        return import_module(WRITER).drawn(self)
 
     def write(self, path: str | Path) -> Path:
         """Write the page and return its path.
@@ -496,5 +495,4 @@ def as_text(self: Any) -> str:
 
 def as_html(self: object) -> str:
     """Return HTML for a notebook; the method ``_repr_html_`` of what a notebook shows."""
-    text: str = import_module(WRITER).notebook(self)
-    return text
+    return import_module(WRITER).notebook(self)
