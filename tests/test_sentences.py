@@ -11,11 +11,11 @@ from string import Formatter
 import pytest
 
 import oed_sysid
-from oed_sysid import data, experiments
+from oed_sysid import data, experiments, text
 from oed_sysid.design import criteria
 from oed_sysid.evidence.sentences import SAYS, say
 from oed_sysid.information import response
-from oed_sysid.text import csv_table
+from oed_sysid.physics import channels
 
 PACKAGE = Path(oed_sysid.__file__).parent
 ROOM = PACKAGE / "evidence"
@@ -24,7 +24,8 @@ PAGES = {
     "design": criteria.SAYS,
     "experiments": experiments.SAYS,
     "information": response.SAYS,
-    "text": csv_table.SAYS,
+    "physics": channels.SAYS,
+    "text": text.SAYS,
 }
 
 

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any, ClassVar, Self
 
 from oed_sysid.errors import ModelError, located
-from oed_sysid.physics.channels import check_signal, settle
+from oed_sysid.physics.channels import SAYS, check_signal, settle
 from oed_sysid.physics.parameters import Parameter, changed, check_unique
 from oed_sysid.text import callables, expressions
 from oed_sysid.text.callables import Function, Table, argument_names
@@ -200,10 +200,7 @@ class Effect:
             if self.stage not in stages and getattr(self, part):
                 raise ModelError(f"{where}: a {self.stage} effect cannot {verb} {part}.")
         if self.memory and self.states:
-            raise ModelError(
-                f"{where} has both sampled memory and continuous states. Keep one: an "
-                "effect with states works within the equations of motion."
-            )
+            raise ModelError(SAYS["memory_and_states"].format(where=where))
         located(ModelError, f"{where} names the amplitude", self.amplitudes or (), known)
 
     @classmethod

@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.errors import DataError, ModelError, OedSysidError, located
+from oed_sysid.runtime.tables import tables
 from oed_sysid.text.units import dimension
 
+# What models, effects and parameters are refused for.
+SAYS: dict[str, Any] = tables(__file__, "sentences")
 INTERPOLATIONS = ("hold", "linear")
 
 
 def check_signal(kind: str, name: str, unit: str) -> None:
     """Raise :class:`ModelError` unless a name can stand in expressions and its unit is known."""
     if not isinstance(name, str) or not name.isidentifier() or iskeyword(name):
-        raise ModelError(
-            f"{kind} {name!r:.60} cannot be named in expressions. Use letters, digits and "
-            "underscores, beginning with a letter; no word of Python."
-        )
+        raise ModelError(SAYS["no_identifier"].format(kind=kind, name=name))
     try:
         dimension(unit)
     except DataError as error:
@@ -90,10 +90,7 @@ def check_positive(kind: str, name: str, what: str, value: float | None) -> None
 
 def _check_sign(kind: str, name: str, sign: float) -> None:
     if sign not in (1, -1):
-        raise ModelError(
-            f"{kind} {name!r} has sign {sign!r:.40}. Choose 1 or -1; a factor belongs into the "
-            "unit of the column."
-        )
+        raise ModelError(SAYS["sign"].format(kind=kind, name=name, sign=sign))
 
 
 @dataclass(frozen=True)
@@ -203,10 +200,7 @@ class Output:
 
     def __post_init__(self) -> None:
         if self.wrap and self.unit != "rad":
-            raise ModelError(
-                f"Output {self.name!r} in [{self.unit}] cannot wrap: only an angle in [rad] can. "
-                "Leave wrap out, or declare the output in rad; files may hold degrees."
-            )
+            raise ModelError(SAYS["no_angle"].format(self))
         check_signal("Output", self.name, self.unit)
         if self.noise_std != 0.0:  # what zero means is said where residuals are divided by it
             check_positive("Output", self.name, "noise_std", self.noise_std)

@@ -18,7 +18,7 @@ import casadi as ca
 
 from oed_sysid.errors import ModelError
 from oed_sysid.physics import Effect
-from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.channels import SAYS, Input, Output, State
 from oed_sysid.physics.parameters import Parameter, changed
 from oed_sysid.physics.registers import refined
 from oed_sysid.physics.structure import Structure, settle_parts, validate
@@ -190,10 +190,7 @@ class Model(Structure):
         added = (other,) if isinstance(other, Effect) else tuple(other)
         for effect in added:
             if effect.name in self.effect_names:
-                raise ModelError(
-                    f"Model {self.name!r} already has the effect {effect.name!r}. "
-                    f"Use model.without({effect.name!r}) first, or give it another name."
-                )
+                raise ModelError(SAYS["effect_again"].format(self, effect=effect))
         return replace(self, effects=(*self.effects, *added))
 
     def without(self, *names: str) -> Model:
@@ -342,10 +339,7 @@ class Model(Structure):
 def _check_derivatives(function: ca.Function) -> None:
     """Refuse what is no function of CasADi, or calls what cannot be differentiated."""
     if not isinstance(function, ca.Function):
-        raise ModelError(
-            f"{function!r} is no function of CasADi. Write casadi.Function('f', [x, u, p], "
-            "[rates]) of symbols such as x = casadi.MX.sym('x', 2)."
-        )
+        raise ModelError(SAYS["no_casadi"].format(function=function))
     try:
         function.jacobian()
     except RuntimeError as error:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from oed_sysid.errors import ModelError
-from oed_sysid.physics.channels import check_signal
+from oed_sysid.physics.channels import SAYS, check_signal
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -76,22 +76,13 @@ class Parameter:
         if self.log:
             self._check_log()
         if self.lower > self.upper:
-            raise ModelError(
-                f"Parameter {self.name!r} has lower bound {self.lower:g} above upper bound "
-                f"{self.upper:g}. Swap them."
-            )
+            raise ModelError(SAYS["bounds_swapped"].format(self))
         if not self.lower <= self.value <= self.upper:
-            raise ModelError(
-                f"Parameter {self.name!r} starts at {self.value:g}, outside its bounds "
-                f"[{self.lower:g}, {self.upper:g}]. Move the start value or widen the bounds."
-            )
+            raise ModelError(SAYS["value_outside"].format(self))
         if self.prior_std is not None and self.prior_mean is None:
             object.__setattr__(self, "prior_mean", self.value)
         if self.prior_mean is not None and not self.lower <= self.prior_mean <= self.upper:
-            raise ModelError(
-                f"Parameter {self.name!r} has its prior at {self.prior_mean:g}, outside its bounds "
-                f"[{self.lower:g}, {self.upper:g}]. Move the prior or widen the bounds."
-            )
+            raise ModelError(SAYS["prior_outside"].format(self))
 
     def _check_types(self) -> None:
         """Refuse what is no number, or none of the size that its name asks for."""
@@ -105,10 +96,7 @@ class Parameter:
             if not isinstance(given, bool | np.bool_):
                 raise ModelError(f"{who} has {field} {given!r:.40}. Expected True or False.")
         if self.prior_std is not None and not 0 < self.prior_std < math.inf:
-            raise ModelError(
-                f"{who} has prior_std {self.prior_std}. Give a positive number, or fixed=True for "
-                "a known value."
-            )
+            raise ModelError(SAYS["prior_std"].format(self, who=who))
         if self.scale is not None and not self.scale > 0:
             raise ModelError(f"{who} has scale {self.scale}. Give a positive one.")
 
@@ -117,11 +105,7 @@ class Parameter:
             object.__setattr__(self, "lower", 0.0)
         smallest = min(self.value, math.inf if self.prior_mean is None else self.prior_mean)
         if not smallest > 0 or self.lower < 0:
-            raise ModelError(
-                f"Parameter {self.name!r} has log=True, and a value, prior mean or bound that is "
-                f"not positive (value {self.value:g}, lower {self.lower:g}). Give positive ones, "
-                "or leave log out."
-            )
+            raise ModelError(SAYS["log_of_none"].format(self))
 
     @property
     def prior_spread(self) -> float | None:
@@ -193,8 +177,5 @@ def check_unique(parameters: tuple[Parameter, ...], *, owner: str) -> None:
     seen: set[str] = set()
     for parameter in parameters:
         if parameter.name in seen:
-            raise ModelError(
-                f"{owner} defines parameter {parameter.name!r} twice. "
-                "Give the two different names, or define it once in the model."
-            )
+            raise ModelError(SAYS["parameter_twice"].format(owner=owner, parameter=parameter))
         seen.add(parameter.name)

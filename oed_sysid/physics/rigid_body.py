@@ -39,7 +39,7 @@ import numpy as np
 from oed_sysid.errors import ModelError, located
 from oed_sysid.physics import frames
 from oed_sysid.physics.base import Effect, Environment, Force, amplitude
-from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.channels import SAYS, Input, Output, State
 from oed_sysid.physics.frames import Matrix, Place, Texts, cross, minus, plus, text_of, times
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
@@ -459,10 +459,7 @@ def _on(axes: Collection[str], six: Sequence[frames.Component], name: str = "") 
     pairs = zip(frames.AXES, six, strict=True)
     terms = {axis: str(text) for axis, text in pairs if axis in axes and text != "0"}
     if name and not terms:
-        raise ModelError(
-            f"{name!r} acts on none of the axes {', '.join(axes)} of this body. Check its "
-            "direction."
-        )
+        raise ModelError(SAYS["no_axis"].format(name=name, axes=", ".join(axes)))
     return terms
 
 
@@ -716,10 +713,7 @@ class _Body:
             # M_A is symmetric for potential flow without forward speed: one of a pair says both.
             key = tuple(sorted(moved))
             if key in places:
-                raise ModelError(
-                    f"Added mass {places[key]!r} and {name!r} are the same entry of a symmetric "
-                    "matrix. Give one of the two."
-                )
+                raise ModelError(SAYS["same_entry"].format(other=places[key], name=name))
             # The acceleration derivatives are minus the added masses: Y_vdot = -A_22.
             if moved[0] == moved[1] and (size := _size(value)) > 0:
                 raise ModelError(f"Added mass {name!r} is {size:g}; derivatives are negative.")

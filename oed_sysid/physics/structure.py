@@ -16,7 +16,7 @@ import numpy as np
 
 from oed_sysid.errors import ModelError, located
 from oed_sysid.physics import Effect
-from oed_sysid.physics.channels import Channels, Input, Output, State, settle
+from oed_sysid.physics.channels import SAYS, Channels, Input, Output, State, settle
 from oed_sysid.physics.parameters import Parameter, check_unique
 from oed_sysid.text import callables, expressions
 from oed_sysid.text.callables import Function, Table
@@ -96,15 +96,9 @@ class Structure:
         for owner in owners:
             for name, entry in owner.callable.items():
                 if name in expressions.FUNCTIONS:
-                    raise ModelError(
-                        f"{owner.name!r} declares {name!r}, which is a function of every text "
-                        "already. Give it another name."
-                    )
+                    raise ModelError(SAYS["known_function"].format(owner=owner, name=name))
                 if callables.digest(found.setdefault(name, entry)) != callables.digest(entry):
-                    raise ModelError(
-                        f"Model {self.name!r} holds two different tables or functions called "
-                        f"{name!r}. Rename one."
-                    )
+                    raise ModelError(SAYS["two_of_one_name"].format(self, name=name))
         return found
 
     @property

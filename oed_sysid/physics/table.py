@@ -32,6 +32,7 @@ import numpy as np
 
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.physics.base import Effect, ExtraState, Force, Memory, amplitude
+from oed_sysid.physics.channels import SAYS
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.runtime.tables import tables
 from oed_sysid.text import expressions, notation
@@ -486,10 +487,7 @@ def table_from_csv(path: str | Path) -> Table:
     for header, column in zip(table.headers, table.values.T, strict=True):
         name, unit = parse_header(header)
         if unit is None:
-            raise DataError(
-                f"{path.name}: column {header!r} has no unit. Write it as '{name} [deg]', "
-                f"'{name} [m]' or '{name} [1]'."
-            )
+            raise DataError(SAYS["column_without_unit"].format(path=path, header=header, name=name))
         if np.isnan(column).any():
             row = int(table.row_numbers[np.flatnonzero(np.isnan(column))[0]])
             raise DataError(f"{path.name}, row {row}: column {name!r} is empty. Fill the gap.")
@@ -498,20 +496,14 @@ def table_from_csv(path: str | Path) -> Table:
         order = np.argsort(columns[0], kind="stable")
         return check_table(path.name, (columns[0][order], columns[1][order]))
     if len(columns) != 3:
-        raise DataError(
-            f"{path.name} has {len(columns)} columns; expected two (x, value) or three "
-            "(x, y, value)."
-        )
+        raise DataError(SAYS["columns_of_table"].format(path=path, n=len(columns)))
     x, i = np.unique(columns[0], return_inverse=True)
     y, j = np.unique(columns[1], return_inverse=True)
     count = np.zeros((len(x), len(y)), dtype=int)
     np.add.at(count, (i, j), 1)
     if (count != 1).any():
         a, b = np.argwhere(count != 1)[0]
-        raise DataError(
-            f"{path.name} has {count[a, b]} rows for the point ({x[a]:g}, {y[b]:g}) in SI units; "
-            "a table of two arguments needs exactly one for every pair."
-        )
+        raise DataError(SAYS["rows_of_a_point"].format(path=path, n=count[a, b], x=x[a], y=y[b]))
     values = np.empty((len(x), len(y)))
     values[i, j] = columns[2]
     return check_table(path.name, (x, y, values))

@@ -32,6 +32,7 @@ from typing import TypeVar
 from oed_sysid.errors import ModelError
 from oed_sysid.physics import base
 from oed_sysid.physics.base import Actuator, Effect, Force, Sensor
+from oed_sysid.physics.channels import SAYS
 from oed_sysid.physics.parameters import Parameter, about_zero
 from oed_sysid.text.expressions import DEEPEST
 
@@ -109,10 +110,7 @@ def _random(
     """Effect of a Gauss-Markov process, which a model alone takes at its mean."""
     place, name = f"{kind.stage} {key}", f"disturbance_{kind.stage}_{key}"
     if level < 0 or time < 0:
-        raise ModelError(
-            f"The random process at {place!r} has level {level} and time {time}. Give numbers "
-            "that are not negative; level zero means absent."
-        )
+        raise ModelError(SAYS["random_process"].format(place=place, level=level, time=time))
     return kind(
         f"{words[0]}_{key}",
         {key: name if kind is Force else f"{key} + {name}"},

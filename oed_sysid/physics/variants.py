@@ -20,6 +20,7 @@ from fnmatch import fnmatch
 
 from oed_sysid.errors import ModelError
 from oed_sysid.physics.base import Actuator, Effect
+from oed_sysid.physics.channels import SAYS
 from oed_sysid.physics.parameters import about_zero
 
 BY_RECORD = "_by_record"
@@ -59,10 +60,7 @@ def in_each_record(effect: Effect) -> Effect:
     ('trim_by_record', {'delta': 'delta + E_trim_by_record'}, True)
     """
     if effect.states or effect.memory or effect.definitions:
-        raise ModelError(
-            f"Effect {effect.name!r} has states, memory or definitions of its own, which two "
-            "effects cannot share. Write the second one with Parameter(..., per_record=True)."
-        )
+        raise ModelError(SAYS["shared_parts"].format(effect=effect))
     renamed = {parameter.name: f"{parameter.name}{BY_RECORD}" for parameter in effect.parameters}
     known = re.compile(rf"\b({'|'.join(map(re.escape, renamed))})\b")
     sizes = effect.amplitude_names
@@ -115,16 +113,10 @@ def unknown_start(effect: Actuator, std: float, unit: str = "rad") -> Actuator:
     ('ds + start_fin_lag', True, ('E_fin_lag',))
     """
     if not std > 0.0:
-        raise ModelError(
-            f"Effect {effect.name!r}: the start's standard deviation is {std}. Give one above "
-            "zero, such as the range of the command, or leave the effect as it is."
-        )
+        raise ModelError(SAYS["start_std"].format(effect=effect, std=std))
     signals = [name for name in effect.terms if name in {m.initial for m in effect.memory}]
     if not signals:
-        raise ModelError(
-            f"Effect {effect.name!r} has no memory that begins at a command. Only what remembers, "
-            "as a lag, a delay, a limited rate or a backlash, has a start."
-        )
+        raise ModelError(SAYS["no_start"].format(effect=effect))
     many = len(signals) > 1
     names = {signal: f"start_{effect.name}" + f"_{signal}" * many for signal in signals}
     words = "actual {} before the record, less its first command"

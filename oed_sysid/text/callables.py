@@ -22,6 +22,7 @@ import casadi as ca
 import numpy as np
 
 from oed_sysid.errors import ModelError
+from oed_sysid.text import SAYS
 
 Table = tuple[np.ndarray, ...]
 
@@ -114,10 +115,7 @@ class Function:
                 "that depend on values."
             ) from None
         if result.shape != (1, 1):
-            raise ModelError(
-                f"Function {self.name!r} returns a result of shape {result.shape}; expected one "
-                "scalar. Write one function for each result."
-            )
+            raise ModelError(SAYS["no_scalar"].format(self, result=result))
         object.__setattr__(self, "definition", _recorded(self.name, symbols, result))
         object.__setattr__(self, "arguments", arguments)
 
@@ -155,10 +153,7 @@ def argument_names(name: str, definition: Callable[..., Any]) -> tuple[str, ...]
     kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
     found = tuple(p.name for p in parameters if p.kind in kinds and p.default is p.empty)
     if not found:
-        raise ModelError(
-            f"Function {name!r} does not say its arguments. Give them: "
-            "Function(name, definition, arguments=('u', 'v'))."
-        )
+        raise ModelError(SAYS["no_arguments"].format(name=name))
     return found
 
 
@@ -203,8 +198,7 @@ def _columns(
     if [size for size in sizes if 0 not in size] != wanted:
         expected = ", ".join(f"{key} ({len(symbols[key])}, 1)" for key in symbols)
         raise ModelError(
-            f"CasADi's function {title!r} has arguments of shapes {sizes}; expected "
-            f"columns, all or the first of {expected}."
+            SAYS["shapes_of_arguments"].format(title=title, sizes=sizes, expected=expected)
         )
     if function.numel_out(0) != len(results):
         raise ModelError(
@@ -255,10 +249,7 @@ def _word(name: str, node: ca.SX, source: ca.SX, place: Mapping[int, str]) -> st
         raise ModelError(f"Function {name!r} uses {node}, which is none of its arguments.")
     word = place.get(node.element_hash()) or OPERATION_WORDS.get(node.op())
     if word is None:
-        raise ModelError(
-            f"Function {name!r} uses CasADi's operation {node.op()}, which a model cannot "
-            "store. Use elementary functions."
-        )
+        raise ModelError(SAYS["no_elementary_function"].format(name=name, operation=node.op()))
     return word
 
 
@@ -290,11 +281,7 @@ def _remembered(name: str, function: ca.Function) -> str:
 def _called(digest: str, result: int, arguments: list[ca.SX]) -> ca.SX:
     """One scalar result of a called CasADi function of scalar arguments."""
     if digest not in _CALLED:
-        raise ModelError(
-            f"A function of CasADi with the digest {digest} belongs to this model and is not "
-            "stored with it. Build the model first: load_problem(its folder), on the command line "
-            "--problem FOLDER, or Model.from_casadi; then read what was saved."
-        )
+        raise ModelError(SAYS["function_not_stored"].format(digest=digest))
     function, rest, parts = _CALLED[digest], iter(arguments), list[ca.SX]()
     for i in range(function.n_in()):
         own = ca.vertcat(*islice(rest, function.nnz_in(i)))
@@ -338,18 +325,14 @@ def check_table(name: str, table: Table) -> Table:
             f"Table {name!r} is {table!r:.80}; expected rows of numbers, (x, y) or (x, y, values)."
         ) from None
     if len(arrays) not in (2, 3):
-        raise ModelError(
-            f"Table {name!r} has {len(arrays)} parts; expected (x, y), or (x, y, values) with "
-            "values of shape (len(x), len(y))."
-        )
+        raise ModelError(SAYS["parts_of_table"].format(name=name, n=len(arrays)))
     *grids, values = arrays
     for place, grid in zip(("first", "second"), grids, strict=False):
         _check_grid(f"Table {name!r}: its {place} argument", grid)
     expected = tuple(len(grid) for grid in grids)
     if values.shape != expected:
         raise ModelError(
-            f"Table {name!r} has values of shape {values.shape}; expected {expected}, one for "
-            "each point of its grid."
+            SAYS["values_of_table"].format(name=name, values=values, expected=expected)
         )
     if not np.all(np.isfinite(values)):
         raise ModelError(f"Table {name!r} has a value that is not finite. Fill the gap.")

@@ -34,6 +34,7 @@ from oed_sysid.errors import DataError
 from oed_sysid.runtime import files
 from oed_sysid.runtime.constants import LONGEST_LINE, TABLE_BYTES
 from oed_sysid.runtime.tables import tables
+from oed_sysid.text import SAYS
 from oed_sysid.text.units import is_unit, parse_header
 
 # -- one cell of a table ---------------------------------------------------------------
@@ -49,7 +50,6 @@ _CLOCK = re.compile(r"(\d{1,3}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
 _POINTS = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[T ]+(\d{1,2}:.+)")
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}")
 _KNOWN = tables(__file__, "file_kinds")
-SAYS: dict[str, Any] = _KNOWN["says"]
 # Patterns of cells that are no number, and what to do about them.
 _COMPLAINTS = tuple((re.compile(one, re.IGNORECASE), words) for one, words in _KNOWN["complaints"])
 

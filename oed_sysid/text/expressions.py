@@ -34,7 +34,7 @@ import numpy as np
 
 from oed_sysid.errors import ModelError
 from oed_sysid.runtime.constants import LONGEST_LINE
-from oed_sysid.text import typeset
+from oed_sysid.text import SAYS, typeset
 from oed_sysid.text.callables import Function, Table, library, n_arguments
 
 # -- the grammar of expressions --------------------------------------------------------
@@ -176,10 +176,7 @@ def _parse(expression: str) -> ast.expr:
         depth += 1
         level = [child for node in level for child in ast.iter_child_nodes(node)]  # type: ignore[misc]
     if depth > DEEPEST:
-        raise ModelError(
-            f"{shown} is nested {depth} deep, more than {DEEPEST}. Name parts of it in definitions "
-            "or signals."
-        )
+        raise ModelError(SAYS["nested"].format(shown=shown, depth=depth, most=DEEPEST))
     tree = _Plain(expression).visit(tree)
     for node in ast.walk(tree):
         _check_part(node, f"Expression {expression!r}")
@@ -273,10 +270,7 @@ class _Plain(ast.NodeTransformer):
         texts = [one if isinstance(one, str) else "" for one in given]
         most = 1 if function == "dot" else 2
         if not 1 <= len(texts) <= most or not all(texts) or node.keywords:
-            raise ModelError(
-                f'Expression {self.expression!r}: write dot(state), as dot(v), and force("axis") '
-                'or force("axis", "effect"), as force("Y", "rudder").'
-            )
+            raise ModelError(SAYS["rate_or_force"].format(self))
         return ast.Name(f"{function}({', '.join(texts)})", ast.Load())
 
 

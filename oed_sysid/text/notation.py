@@ -29,6 +29,7 @@ from functools import lru_cache
 from itertools import groupby
 
 from oed_sysid.errors import ModelError
+from oed_sysid.text import SAYS
 from oed_sysid.text.units import MOST_CHARACTERS, Dimension, dimension
 
 AXES: Mapping[str, str] = {
@@ -186,25 +187,15 @@ def parse(name: str) -> Derivative:
     (True, Factor(symbol='u', absolute=False))
     """
     if not isinstance(name, str) or len(name) > MOST_CHARACTERS:
-        raise ModelError(
-            f"{name!r:.60} is not the name of a hydrodynamic derivative: expected text of at most "
-            f"{MOST_CHARACTERS} characters, for instance Z_absww."
-        )
+        raise ModelError(SAYS["no_name"].format(name=name, most=MOST_CHARACTERS))
     match = _NAME.fullmatch(name)
     if match is None:
-        raise ModelError(
-            f"{name!r} is not a hydrodynamic derivative. Expected an axis of X Y Z K M N, '_', "
-            f"factors of {' '.join(FACTOR_UNITS)} (each may follow 'abs'), and at most one final "
-            "'dot', for instance Z_absww, M_uuds or Z_wdot."
-        )
+        raise ModelError(SAYS["no_derivative"].format(name=name, factors=" ".join(FACTOR_UNITS)))
     axis, text, dot = match.groups()
     found = _FACTOR.findall(text or "")
     factors = tuple(Factor(symbol, bool(absolute)) for absolute, symbol in found)
     if dot and (len(factors) != 1 or factors[0].absolute or factors[0].symbol not in "uvwpqr"):
-        raise ModelError(
-            f"{name!r} has 'dot' after {text!r}. An acceleration derivative has one velocity "
-            "factor, for instance Z_wdot or N_rdot."
-        )
+        raise ModelError(SAYS["no_acceleration"].format(name=name, text=text))
     return Derivative(name, axis, factors, bool(dot))
 
 
