@@ -121,11 +121,6 @@ def _random(
     )
 
 
-def random_effects(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
-    """Those effects that are random."""
-    return tuple(effect for effect in effects if effect.noise is not None)
-
-
 def UnknownInput(
     signal: str,
     unit: str,
