@@ -39,7 +39,7 @@ from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.frames import RECORD, frame, tables_of
 from oed_sysid.data.record import Record, empty_outputs, nearest
 from oed_sysid.errors import DataError, located
-from oed_sysid.physics.channels import Channels, settle
+from oed_sysid.physics.channels import Channels
 from oed_sysid.runtime.constants import IMMATERIAL
 from oed_sysid.runtime.display import as_html
 from oed_sysid.text.csv_table import Table, read_table, write_table
@@ -75,10 +75,14 @@ class Dataset:
     records: tuple[Record, ...]
 
     def __post_init__(self) -> None:
-        settle(self, "A dataset", {"records": [Record]}, DataError)
+        object.__setattr__(self, "records", tuple(self.records))
         if not self.records:
             raise DataError("A dataset needs at least one record.")
         for index, record in enumerate(self.records):
+            if not isinstance(record, Record):
+                raise DataError(
+                    f"A dataset holds records, but one of these is a {type(record).__name__}."
+                )
             if record.name in self.names[:index]:
                 raise DataError(SAYS["records_of_one_name"].format(record=record))
             if record.channels != self.channels:
