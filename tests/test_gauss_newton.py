@@ -29,7 +29,7 @@ from oed_sysid.likelihood.gauss_newton import (
     gathered,
     solve,
 )
-from oed_sysid.likelihood.nonlinear_program import _mean_square
+from oed_sysid.likelihood.nonlinear_program import Constraint, _mean_square
 from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
 from oed_sysid.likelihood.unknowns import Limits
 from oed_sysid.likelihood.windows import CONTROL, Windows, climb, eliminate
@@ -648,6 +648,14 @@ def test_unreadable_constraints_are_refused(constraint: str, words: str) -> None
         constrained(constraint).fit(yaw_model(), yaw_data(0))
 
 
+def test_what_is_the_same_in_every_record_is_asked_once() -> None:
+    """An output, or a parameter of each record, has a constraint in every record."""
+    own = replace(YAW.parameter("T"), per_record=True)
+    model = replace(YAW, parameters=(YAW.parameter("K"), own))
+    asked = {text: Constraint.of(model, text).of_records for text in ("K > 0", "T > K", "r < 1")}
+    assert asked == {"K > 0": False, "T > K": True, "r < 1": True}
+
+
 def test_the_program_with_process_noise_ends_where_gauss_newton_does() -> None:
     """The same likelihood of innovations, levels of the disturbance estimated along."""
     data = two(4)
@@ -676,6 +684,7 @@ def test_an_equation_beside_process_noise_is_one_parameter_less() -> None:
     error = own.std_errors["T"]
     assert tied.values["T"] == pytest.approx(own.values["T"], abs=0.3 * error)
     assert tied.std_errors["T"] == pytest.approx(error, rel=0.1)
+    assert tied.status.code == "converged"
     assert [one.text for one in tied.binding] == ["K == 0.1*T"]
 
 

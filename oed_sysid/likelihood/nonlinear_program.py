@@ -116,12 +116,18 @@ def solve_constrained(
     """
     user, limits = [Constraint.of(problem.model, text) for text in constraints], problem.limits
     scale, n = limits.scale, len(limits.scale)
-    asked = [(one, record.times[one.samples]) for record in problem.dataset for one in user]
+    # Twice the same would leave its multipliers undetermined.
+    asked = [
+        (one, record.times[one.samples])
+        for index, record in enumerate(problem.dataset)
+        for one in _asked(user, index)
+    ]
     sides = [[one.lower, one.upper] for one, times in asked for _ in times]
     lower, upper = np.reshape(sides, (-1, 2)).T
 
     def constrained_by(unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        told = [one.linear(part) for part in _predicted(problem, unknowns) for one in user]
+        runs = enumerate(_predicted(problem, unknowns))
+        told = [one.linear(run) for index, run in runs for one in _asked(user, index)]
         if not told:  # the undisturbed run diverges, or nothing constrains it
             return np.full(len(lower), np.nan), np.full((len(lower), n), np.nan)
         rows, slopes = zip(*told, strict=True)
@@ -314,6 +320,8 @@ class Constraint:
         ``(n_parameters,)``.
     of_outputs : bool
         Whether it holds an output.
+    of_records : bool
+        Whether it differs from record to record: it holds an output, or a parameter of each.
     samples : slice
         Of a record, at which it is asked; the first alone where it holds no output.
     lower, upper : float
@@ -323,6 +331,7 @@ class Constraint:
     text: str
     difference: ca.Function
     of_outputs: bool
+    of_records: bool
     samples: slice
     lower: float
     upper: float
@@ -343,11 +352,17 @@ class Constraint:
             raise ModelError(f"Constraint {text!r} holds no parameter and no output.")
         if end and not of_outputs:
             raise ModelError(f"Constraint {text!r}: start and end are those of an output.")
+        own = [
+            part
+            for part, p in zip(ca.vertsplit(values), model.all_parameters, strict=True)
+            if p.per_record
+        ]
         derived = [level, ca.jacobian(level, outputs), ca.jacobian(level, values)]
         return cls(
             text,
             ca.Function("constraint", [outputs, values], derived),
             of_outputs,
+            of_outputs or bool(ca.depends_on(level, ca.vertcat(*own))),
             _ENDS.get(end, slice(None) if of_outputs else slice(0, 1)),
             -np.inf if kind in (ast.Lt, ast.LtE) else 0.0,
             np.inf if kind in (ast.Gt, ast.GtE) else 0.0,
@@ -379,6 +394,11 @@ class Constraint:
         row = int(np.nanargmax(sign * level))
         sample = range(len(record.outputs))[self.samples][row]
         return sample, float(sign * level[row]), sign * slopes[row]
+
+
+def _asked(constraints: Sequence[Constraint], index: int) -> list[Constraint]:
+    """Constraints that a record adds: what is the same in all is one, of the first."""
+    return [one for one in constraints if one.of_records or not index]
 
 
 def _compared(text: str) -> tuple[str, str, type, str]:
@@ -547,8 +567,8 @@ def _constraints(
     # None is predicted where the model diverges.
     pairs = zip(problem.dataset, _predicted(problem, unknowns), strict=False)
     for index, (record, predicted) in enumerate(pairs):
-        # What holds no output is the same in every record.
-        for one in (one for one in user if one.of_outputs or not index):
+        for one in _asked(user, index):
             sample, excess, gradient = one.tightest(predicted)
-            where = f" at {record.times[sample]:g} s of {record.name}" if one.of_outputs else ""
+            where = f" at {record.times[sample]:g} s" if one.of_outputs else ""
+            where += f" of {record.name}" if one.of_records else ""
             yield _Active(f"{one.text}{where}", excess, gradient, known=True)
