@@ -449,8 +449,7 @@ class Filtered(Posed):
     ) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]:
         """What its own gains do to the innovations of each parameter moved, and their variances.
 
-        By unknown and record; each is moved by one standard deviation, others known: a smaller
-        step says no more of a smooth model, and drowns in rounding that an unstable one amplifies.
+        By unknown and record; each is moved by ``std``.
         """
         noises = self.disturbed(unknowns)
         jobs = [

@@ -293,8 +293,7 @@ def restricted(problem: Filtered, point: Point) -> Iterate:
     def derived() -> tuple[np.ndarray, np.ndarray]:
         matrix, right = _of_the_filter(problem, unknowns)
         # A tenth of a standard deviation of the noise's unknowns: ten times as long a step leaves a
-        # tenth of a nat more, a very short one drowns in the rounding that an unstable vehicle
-        # amplifies.
+        # tenth of a nat more.
         lengths = IMMATERIAL * differences(problem, matrix, unknowns)
         for index in range(levels.start, levels.stop):
             moved = unknowns.copy()
@@ -350,13 +349,13 @@ def differences(problem: Filtered, matrix: np.ndarray, unknowns: np.ndarray) -> 
 def _of_the_filter(problem: Filtered, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Matrix and right-hand side with what the gain adds by differences, or at frozen gain.
 
-    At frozen gain where rounding that an unstable model amplifies would be taken for information.
+    At frozen gain where moved filters leave the numbers, or tell so much more of a parameter that
+    it is curvature rather than information.
     """
     base = problem.passes(unknowns, rows=True, gains=True)
     frozen, right = problem.gathered(unknowns, base)
     whole = problem.differentiated(unknowns, base, differences(problem, frozen, unknowns))
     known = np.arange(problem.layout.levels.start)
-    # A vehicle so unstable that moved filters overflow is one whose rounding is amplified.
     usable = all(np.isfinite(part).all() for part in whole)
     if not usable or (np.diag(whole[0])[known] > WORTH_TELLING * np.diag(frozen)[known]).any():
         return frozen, right
@@ -787,7 +786,7 @@ def solve_filtered(
         near.append("iterations")
         reason = last if last in ("interrupted", "stalled") else reason
     now, cost = descent.now, descent.now.cost
-    # A damped step promises little everywhere: a full one tells whether this is the end.
+    # A damped step promises little everywhere, as in Descent._arrived: a full one proves the end.
     arrived = FilteredSolution(now, 0, reason).promise < NEAR
     if reason in near and arrived:
         reason = "converged"
