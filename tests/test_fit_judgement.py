@@ -26,7 +26,7 @@ from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import believed
 from benchmarks.random_forces.simulator import simulate as simulate_worlds
 from benchmarks.random_forces.trial import dataset, nominal_model
-from benchmarks.truth import gauss_markov
+from benchmarks.truth import gauss_markov, runge_kutta
 from oed_sysid import (
     Fit,
     Model,
@@ -56,6 +56,7 @@ from oed_sysid.likelihood.noise_levels import (
     spike_sizes,
 )
 from oed_sysid.physics import Force, RandomForce
+from oed_sysid.physics.channels import Input
 from oed_sysid.runtime.constants import IMMATERIAL
 from oed_sysid.runtime.display import told
 
@@ -1009,3 +1010,59 @@ def test_an_unstable_vehicle_with_the_rudder_of_another_run_is_not_explained() -
     )
     fit = MultipleShooting().fit(CARRIED, foreign)
     assert not fit.status.ok or "r" in {one.signal for one in fit.grave}
+
+
+TETHERED = Model(
+    "a float that tows a glider",
+    states=(State("e", "m"), State("uf", "m/s"), State("us", "m/s")),
+    inputs=(Input("thrust", "1"),),
+    outputs=(Output("uf", "m/s", noise_std=0.02), Output("us", "m/s", noise_std=0.02)),
+    kinematics={
+        "e": "uf - us",
+        "uf": "-k*e - c*(uf - us) - d*uf",
+        "us": "0.5*(k*e + c*(uf - us)) + b*thrust - a*us",
+    },
+    parameters=tuple(
+        Parameter(name, value, unit)
+        for name, value, unit in (
+            ("k", 0.5, "1/s^2"), ("c", 0.2, "1/s"), ("d", 0.25, "1/s"), ("b", 0.6, "m/s^2"),
+            ("a", 0.25, "1/s"),
+        )
+    ),
+    step=0.2,
+)  # fmt: skip
+
+
+def towed(seed: int, scale: float) -> Dataset:
+    """Three runs of it with thrust in steps; the speed of the glider is too large by a factor."""
+
+    def rate(x: np.ndarray, _: int, thrust: float) -> np.ndarray:
+        pull = 0.6 * x[0] + 0.15 * (x[1] - x[2])
+        return np.array([x[1] - x[2], -pull - 0.2 * x[1], 0.5 * pull + 0.5 * thrust - 0.3 * x[2]])
+
+    rng, records = np.random.default_rng(seed), []
+    for run in range(3):
+        times, x, rows = np.arange(0.0, 180.0, 0.2), np.zeros(3), []
+        thrust = np.repeat(rng.uniform(0.0, 1.0, len(times) // 30 + 1), 30)[: len(times)]
+        for push in thrust:
+            rows.append(x[1:] * (1.0, scale))
+            x = runge_kutta(rate, x, 0.2, push)
+        outputs = rows + 0.02 * rng.standard_normal((len(times), 2))
+        channels = TETHERED.channels
+        records.append(Record(f"run_{run}", times, thrust[:, None], outputs, channels))
+    return Dataset(records)
+
+
+def test_what_explains_a_misfit_alone_is_said_before_process_noise() -> None:
+    """A scale of 1.15 that bends parameters until waves explain the rest is named all the same.
+
+    The scale alone, without any force, makes the records likelier than the waves do.
+    """
+    fit = MultipleShooting().fit(TETHERED, towed(1, 1.15))
+    assert fit.process_noise is None or fit.process_noise.departure_likelier
+    found = {c.signal: c.size for c in fit.concerns if c.kind == "scale"}
+    assert found == {"uf": pytest.approx(1.0 / 1.15 - 1.0, abs=0.04)} or found == {
+        "us": pytest.approx(0.15, abs=0.04)
+    }
+    right = MultipleShooting().fit(TETHERED, towed(1, 1.0))
+    assert not [c for c in right.concerns if c.kind in ("scale", "process_noise")]

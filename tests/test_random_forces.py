@@ -23,6 +23,7 @@ from oed_sysid.likelihood.disturbances import chosen_places
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import differentiated, restricted
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.noise_levels import believed_levels
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
 from oed_sysid.likelihood.prediction import unknown_series
 from oed_sysid.likelihood.score_test import ScoreTest, Setting, Start, score_test
@@ -99,6 +100,35 @@ def test_disturbed_data_are_found_out(disturbed: Fit) -> None:
             assert abs(np.mean(column[1:] * column[:-1])) < 4.0 / np.sqrt(len(column))
     # The simulated sensors are white, as declared.
     np.testing.assert_array_equal(noise.white, NOISE)
+
+
+def test_noise_declared_too_small_bends_nothing(disturbed: Fit) -> None:
+    """A third of the noise declared: what the records show is estimated, and the fit is the same.
+
+    Forces had grown to follow every wiggle, and a sea of 0.2 s was found. What is declared holds
+    where it is insisted on.
+    """
+    small = SHIP.with_noise(NOISE / 3.0)
+    data = dataset(3, force=FORCE)
+    fit = MultipleShooting().fit(small, data)
+    assert not fit.noise.seas
+    assert fit.sigma_estimated.all()
+    np.testing.assert_allclose(fit.noise.white, NOISE, rtol=0.1)
+    errors = np.array(list(disturbed.std_errors.values()))
+    np.testing.assert_allclose(fit.estimates, disturbed.estimates, atol=0.3 * errors.min())
+    np.testing.assert_allclose(list(fit.std_errors.values()), errors, rtol=0.1)
+    found = {c.signal: c.size for c in fit.concerns if c.kind == "noise_level"}
+    assert found == {name: pytest.approx(3.0, rel=0.1) for name in SHIP.output_names}
+    insisted = MultipleShooting(noise="given", disturbances="none").fit(small, data)
+    np.testing.assert_array_equal(insisted.sigma, NOISE / 3.0)
+
+
+def test_quick_motion_is_no_noise_of_a_sensor() -> None:
+    """A declared level holds where forces explain better what shows from sample to sample."""
+    data = dataset(3, force=15.0 * FORCE)
+    assert np.isnan(believed_levels(SHIP.outputs, data)).any()
+    fit = MultipleShooting().fit(SHIP, data)
+    np.testing.assert_array_equal(fit.noise.white, NOISE)
 
 
 def test_correlated_noise_of_the_sensors_is_no_force() -> None:

@@ -29,7 +29,7 @@ from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
 from oed_sysid.likelihood.gauss_newton import FIRST_STEPS, Convergence, Descent
-from oed_sysid.likelihood.noise_levels import credible_levels, given_levels, root_mean_square
+from oed_sysid.likelihood.noise_levels import believed_levels, credible_levels, root_mean_square
 from oed_sysid.likelihood.noise_model import Disturbances
 from oed_sysid.likelihood.prediction import WAYS, Initial, Prediction, predict
 from oed_sysid.likelihood.projection import inverse_of
@@ -357,7 +357,7 @@ def _levels(given: Sequence[Fit | Model], dataset: Dataset) -> tuple[np.ndarray,
     """
     fits = [item for item in given if isinstance(item, Fit)]
     floor, _ = credible_levels(dataset)
-    sigma = given_levels(_model(given[0]).outputs)
+    sigma = believed_levels(_model(given[0]).outputs, dataset)
     for fit in reversed(fits):
         own = fit.sigma_estimated | ((fit.innovations is not None) & np.isfinite(sigma))
         sigma = np.where(own, sigma, fit.noise.sensors)

@@ -31,7 +31,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.judgement import concerns_of
-from oed_sysid.likelihood.noise_levels import given_levels
+from oed_sysid.likelihood.noise_levels import believed_levels
 from oed_sysid.likelihood.noise_model import Disturbances
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
@@ -249,6 +249,6 @@ def _whole(end: Ended, fit: Fit, log: LogCheck | None) -> Remains:
 
 def _sigma(study: Study, fits: Sequence[Fit]) -> np.ndarray:
     """Noise level of every output: declared, else the smallest that a fit's sensors have."""
-    declared = given_levels(study.base.outputs)
+    declared = believed_levels(study.base.outputs, study.train)
     found = np.min([fit.noise.sensors for fit in fits], axis=0)
     return np.where(np.isnan(declared), np.maximum(found, study.setting.least_white), declared)

@@ -42,7 +42,12 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FROZEN_TOLERANCE, FilteredSolution, solve_filtered
 from oed_sysid.likelihood.integration import resolved
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.noise_levels import credible_levels, given_levels, residual_levels
+from oed_sysid.likelihood.noise_levels import (
+    believed_levels,
+    credible_levels,
+    given_levels,
+    residual_levels,
+)
 from oed_sysid.likelihood.noise_model import Disturbances, Levels, NoiseModel, forces_in, seas_in
 from oed_sysid.likelihood.noise_parts import admitted, solved, with_own_times
 from oed_sysid.likelihood.projection import eliminate, inverse_of
@@ -149,7 +154,7 @@ class Study:
             Where disturbance forces may act: ``"auto"`` or ``"all"`` of the equations, ``"none"``
             of them, or those that are named.
         """
-        levels, white = _declared(model, known=known_noise), _white_fit((model,), train)
+        levels, white = _declared(model, train, known=known_noise), _white_fit((model,), train)
         train = white.dataset
         validation = validation and _white_fit((white.model,), validation).dataset
         floor, _ = credible_levels(train)
@@ -503,10 +508,12 @@ def likelier(*fits: FilteredSolution | None) -> FilteredSolution | None:
     return min((fit for fit in fits if fit is not None), key=lambda f: f.objective, default=None)
 
 
-def _declared(model: Model, *, known: bool) -> np.ndarray:
-    """Declared levels of the sensors, ``(n_outputs,)``; NaN where nobody declared one."""
+def _declared(model: Model, dataset: Dataset, *, known: bool) -> np.ndarray:
+    """Levels of the sensors as declared, ``(n_outputs,)``; NaN where they are to be estimated."""
     levels = given_levels(model.outputs)
-    if known and not np.all(np.isfinite(levels)):
+    if not known:
+        return believed_levels(model.outputs, dataset)
+    if not np.all(np.isfinite(levels)):
         unknown = ", ".join(o.name for o in model.outputs if o.noise_std is None)
         raise DataError(say("refused", "noise", names=unknown))
     return levels

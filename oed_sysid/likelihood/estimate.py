@@ -170,12 +170,15 @@ class ProcessNoiseTest:
         Clear departure of a signal.
     actuator_starts : tuple of ActuatorStart
         Clear starts of actuators beside their first command.
+    departure_likelier : bool
+        Whether that departure alone makes the records likelier than process noise does.
     """
 
     statistic: float
     failed: str = ""
     departure: Departure | None = None
     actuator_starts: tuple[ActuatorStart, ...] = ()
+    departure_likelier: bool = False
 
 
 @dataclass(frozen=True)

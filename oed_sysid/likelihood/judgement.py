@@ -264,7 +264,9 @@ def _levels(fit: Estimate) -> Iterator[Found]:
     if fit.innovations is None:  # those that it took where it was given others
         declared = np.where(fit.sigma_estimated, declared, fit.sigma)
     share = max(1.0 - fit.n_unknowns / max(fit.n_observations, 1), 0.1)
-    for column in np.flatnonzero(np.isfinite(declared) & ~fit.sigma_estimated).tolist():
+    # Of those that were estimated, which in place of what the records contradict.
+    doubted = np.isnan(noise_levels.believed_levels(fit.model.outputs, fit.dataset))
+    for column in np.flatnonzero(np.isfinite(declared) & (doubted | ~fit.sigma_estimated)).tolist():
         output, told = fit.model.outputs[column], _level(fit, column, share)
         if told is None:
             continue
@@ -285,13 +287,15 @@ def _levels(fit: Estimate) -> Iterator[Found]:
         yield Found(factor, output.name, facts={
             "declared": declared[column], "found": factor * declared[column], "unit": output.unit,
             "low": factor * np.exp(-TWO_SIDED_95 * error),
-            "high": factor * np.exp(TWO_SIDED_95 * error), "so": _so(factor, slow, tests=tests),
+            "high": factor * np.exp(TWO_SIDED_95 * error),
+            "so": _so(factor, slow, tests=tests, own=bool(fit.sigma_estimated[column])),
         })  # fmt: skip
 
 
-def _so(factor: float, slow: float, *, tests: bool) -> str:
+def _so(factor: float, slow: float, *, tests: bool, own: bool) -> str:
     """What a level that is not the declared one does to standard errors, and what to do."""
     case = "of_tests" if tests and factor > 1.0 else "with_memory" if slow > 0.0 else "white"
+    case = "estimated" if own else case
     return SO[case].format(wrong="small" if factor > 1.0 else "large")
 
 
@@ -467,16 +471,18 @@ def departure_of(fit: Estimate) -> Departure | None:
     if fit.innovations is None:
         return clear_departure(fit, estimate_departures(fit)) if _own_residuals(fit) else None
     beside = departures_beside(fit)
-    before = None if fit.process_noise is None else fit.process_noise.departure
-    if before is None:
+    asked = fit.process_noise
+    before = None if asked is None else asked.departure
+    if asked is None or before is None:
         # What makes forces follow the motion is physics, and looks like a sensor that is wrong.
         found = clear_departure(fit, beside)
         return None if found is None or laws_of(fit) else found
     # Disturbance forces absorb a departure, so that its size is that before them; and what an
-    # autopilot does about them is none, so that it has to show beside them as well.
+    # autopilot does about them is none, so that it has to show beside them as well, unless it needs
+    # no forces to be the likelier of the two.
     same = (one for one in beside if (one.signals, one.kind) == (before.signals, before.kind))
     shows = any(one.size * np.sign(before.size) > TWO_SIDED_95 * one.std for one in same)
-    return before if shows else None
+    return before if shows or asked.departure_likelier else None
 
 
 def _facts_of(one: Departure, fit: Estimate) -> dict[str, Any]:

@@ -72,7 +72,8 @@ class MultipleShooting:
         Length of a shooting interval, s. ``None`` chooses about thirty per
         record, of at most a hundred samples; infinity is single shooting.
     noise : str or sequence of float
-        ``"auto"`` takes declared noise levels and estimates the others,
+        ``"auto"`` takes declared noise levels and estimates the others, and those that the records
+        show to be too small (:func:`~oed_sysid.likelihood.noise_levels.believed_levels`);
         ``"given"`` insists on declared ones, ``"estimate"`` estimates all; or
         one standard deviation per output.
     loss : str
@@ -445,7 +446,13 @@ class MultipleShooting:
         asked = ProcessNoiseTest(test.gain)
         if fit.names:  # departures of signals and starts of actuators, which the forces absorb
             departure = clear_departure(fit, estimate_departures(fit))
-            asked = replace(asked, departure=departure, actuator_starts=clear_starts(fit))
+            gain = 0.0 if departure is None else 0.5 * departure.gain
+            asked = ProcessNoiseTest(
+                test.gain,
+                departure=departure,
+                actuator_starts=clear_starts(fit),
+                departure_likelier=fit.log_likelihood + gain > found.log_likelihood,
+            )
         return fit, replace(found, process_noise=asked, model=own)
 
     def _places(self, model: Model, declared: Sequence[RandomProcess]) -> tuple[Place, ...] | None:
@@ -469,12 +476,14 @@ class MultipleShooting:
         floor, _ = noise_levels.credible_levels(fit.dataset)
         model, estimated = task.shooting.model, task.how.estimated
         chosen = self.disturbances not in ("auto", "all")
+        stated = noise_levels.given_levels(model.outputs)
         return Setting(
             model,
             fit.dataset,
             places,
             np.where(estimated, np.minimum(fit.sigma, floor), fit.sigma),
             estimated,
+            declared=np.where(estimated, stated, np.nan) if self.noise == "auto" else None,
             logged=() if chosen else commands(model),
             known=[process.place for process in declared if process.known],
             known_starts=task.shooting.known_starts,
@@ -671,6 +680,7 @@ def _score(
     quiet = replace(setting, white=np.maximum(fit.sigma, setting.white))
     factors = {one.signal: one.size for one in concerns_of(fit, "noise_level")} if tests else {}
     sizes = np.array([factors.get(name, 0.0) for name in fit.model.output_names])
+    sizes[fit.sigma_estimated] = 0.0
     if (sizes > 1.0).any():
         # White noise above the declared level is no process noise.
         noisier = replace(quiet, white=np.maximum(sizes, 1.0) * quiet.white)

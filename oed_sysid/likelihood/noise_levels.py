@@ -28,7 +28,7 @@ from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.constants import BEYOND, IMMATERIAL, ROUNDING, THREE_DIGITS
+from oed_sysid.runtime.constants import BEYOND, IMMATERIAL, MATERIAL, ROUNDING, THREE_DIGITS
 
 # Lowest order of the differences in which white noise is looked for, and the share of one order's
 # level below which the next one's means that motion was seen, not noise.
@@ -180,6 +180,33 @@ def given_levels(outputs: Sequence[Output]) -> np.ndarray:
     return np.array([np.nan if o.noise_std is None else o.noise_std for o in outputs], dtype=float)
 
 
+def believed_levels(outputs: Sequence[Output], dataset: Dataset) -> np.ndarray:
+    """Declared noise levels, NaN where unknown and where records show clearly more noise.
+
+    Their high-frequency content tells, whatever the model: below it forces would follow every
+    wiggle, and parameters the forces.
+
+    Examples
+    --------
+    >>> from oed_sysid.data.record import Record
+    >>> from oed_sysid.physics.channels import Channels
+    >>> noise = 0.02 * np.random.default_rng(0).standard_normal((2000, 2))
+    >>> outputs = Output("a", "m", noise_std=0.02), Output("b", "m", noise_std=0.01)
+    >>> times, inputs = np.arange(2000.0), np.zeros((2000, 0))
+    >>> record = Record("run", times, inputs, noise, channels=Channels((), outputs))
+    >>> believed_levels(outputs, Dataset((record,))).tolist()
+    [0.02, nan]
+    """
+    declared = given_levels(outputs)
+    if np.isnan(declared).all():
+        return declared
+    levels, seen = credible_levels(dataset)
+    counts = sum(np.isfinite(record.outputs).sum(axis=0) for record in dataset)
+    error = DIFFERENCE_ERROR / np.sqrt(np.maximum(counts, 1))
+    more = levels * np.exp(-BEYOND * error) > (1.0 + MATERIAL) * declared
+    return np.where(seen & more, np.nan, declared)
+
+
 def start_levels(
     model: Model, dataset: Dataset, noise: str | Sequence[float], earlier: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -207,6 +234,8 @@ def start_levels(
     if not isinstance(noise, str):
         return _stated(names, np.asarray(noise, dtype=float)), np.zeros(len(names), dtype=bool)
     declared = given_levels(model.outputs)
+    if noise == "auto":
+        declared = believed_levels(model.outputs, dataset)
     unknown = np.isnan(declared)
     if noise == "given" and np.any(unknown & measured):
         missing = itertools.compress(names, unknown)

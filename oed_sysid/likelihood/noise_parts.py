@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -215,6 +216,32 @@ def autocorrelated_sensors(found: FilteredSolution, setting: Setting) -> Filtere
     # Away from zero, where a level would have no slope in its time.
     noise = replace(noise, colour=np.where(asks, 0.5 * noise.white, noise.colour))
     return posed(found, setting, noise, has | asks, own_times=False)
+
+
+def as_declared(found: FilteredSolution, setting: Setting) -> tuple[FilteredSolution, Setting]:
+    """Sensors as loud as declared, where a level of its own is not worth a claim; and the setting.
+
+    What shows in a log as noise from sample to sample may be quick motion.
+    """
+    declared = np.full(len(setting.white), np.nan) if setting.declared is None else setting.declared
+    for column in np.flatnonzero(np.isfinite(declared)):
+        own = np.arange(len(declared)) == column
+        held = replace(
+            setting,
+            estimated=setting.estimated & ~own,
+            white=np.where(own, declared, setting.white),
+        )
+        again = admitted(found, held, {partial(_held_again, own): -WORTH})
+        if again is not found:
+            found, setting = again, held
+    return found, setting
+
+
+def _held_again(own: np.ndarray, found: FilteredSolution, held: Setting) -> Filtered | None:
+    """One sensor at the level of a setting that holds it; None where it is held, or remembers."""
+    white = np.where(own, held.white, found.noise.white)
+    problem = posed(found, held, replace(found.noise, white=white))
+    return problem if more_unknowns(found, problem) < 0 else None
 
 
 def zeros_of_sensors(found: FilteredSolution, setting: Setting) -> Filtered | None:

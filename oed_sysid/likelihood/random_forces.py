@@ -37,6 +37,7 @@ from oed_sysid.likelihood.noise_parts import (
     STRIDE,
     WORTH,
     admitted,
+    as_declared,
     begun,
     climbed,
     first_home,
@@ -81,6 +82,7 @@ def fit_disturbed(
     best = stayed or _raced_to_sea(beginnings, setting, progress)
     if best.finite is None:
         return best
+    best, setting = as_declared(best, setting)
     best = admitted(best, setting)
     apart = with_own_times(best, setting)
     if apart is stayed or not polish:

@@ -41,7 +41,7 @@ from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.disturbances import Place
 from oed_sysid.likelihood.filtered import FARTHEST, Filtered, disturbed_model
 from oed_sysid.likelihood.gauss_newton import FROZEN_TOLERANCE, FilteredSolution, solve_filtered
-from oed_sysid.likelihood.noise_levels import credible_levels, shown_in_log
+from oed_sysid.likelihood.noise_levels import credible_levels, given_levels, shown_in_log
 from oed_sysid.likelihood.noise_model import (
     Levels,
     NoiseModel,
@@ -79,6 +79,8 @@ class Setting:
         Which of these are unknown.
     colour : bool
         Whether sensors may have coloured noise.
+    declared : ndarray (n_outputs,), optional
+        Levels that hold, although they are estimated, unless those of their own pay; else NaN.
     logged : sequence of Place
         Logged inputs, which may be noisy: white from sample to sample, admitted where it pays.
     known : sequence of str
@@ -106,6 +108,7 @@ class Setting:
     estimated: np.ndarray
     _: KW_ONLY
     colour: bool = True
+    declared: np.ndarray | None = None
     logged: Sequence[Place] = ()
     known: Sequence[str] = ()
     known_starts: KnownStarts | None = None
@@ -140,9 +143,12 @@ class Setting:
 
     @cached_property
     def least_white(self) -> np.ndarray:
-        """What the high-frequency content shows is there, whatever could explain of it."""
-        floor, seen = self._seen
-        return np.where(seen, LEAST_SEEN * np.minimum(floor, self.white), 0.0)
+        """What the high-frequency content shows is there, whatever could explain of it.
+
+        Of a sensor with a declared level not more than that, since quick forces show there, too.
+        """
+        (floor, seen), declared = self._seen, given_levels(self.model.outputs)
+        return np.where(seen, LEAST_SEEN * np.fmin(np.minimum(floor, self.white), declared), 0.0)
 
     @cached_property
     def most_colour(self) -> np.ndarray:

@@ -51,7 +51,7 @@ from oed_sysid.likelihood.gauss_newton import solve
 from oed_sysid.likelihood.laws import CHUNK, Law, with_sea_of_its_records
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
-    given_levels,
+    believed_levels,
     root_mean_square,
     signal_spread,
     white_levels,
@@ -494,7 +494,8 @@ def judged_runs(fit: Estimate, other: Dataset | None = None, *, unasked: str = "
         Why draws would say nothing (waves that the noise model does not hold); errors are told
         all the same.
     """
-    dataset, declared = fit.dataset if other is None else other, given_levels(fit.model.outputs)
+    dataset = fit.dataset if other is None else other
+    declared = believed_levels(fit.model.outputs, dataset)
     granted = _granted(dataset, declared, fit.noise.sensors)
     starts = _starts(fit) if other is None else None
     own = runs = whole_runs(fit.model, dataset, granted[0], starts)
