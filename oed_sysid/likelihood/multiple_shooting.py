@@ -477,13 +477,14 @@ class MultipleShooting:
         model, estimated = task.shooting.model, task.how.estimated
         chosen = self.disturbances not in ("auto", "all")
         stated = noise_levels.given_levels(model.outputs)
+        own = self.noise if isinstance(self.noise, str) else "given"
         return Setting(
             model,
             fit.dataset,
             places,
             np.where(estimated, np.minimum(fit.sigma, floor), fit.sigma),
             estimated,
-            declared=np.where(estimated, stated, np.nan) if self.noise == "auto" else None,
+            declared=np.where(estimated, stated, np.nan) if own == "auto" else None,
             logged=() if chosen else commands(model),
             known=[process.place for process in declared if process.known],
             known_starts=task.shooting.known_starts,

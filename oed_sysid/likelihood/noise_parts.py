@@ -218,6 +218,14 @@ def autocorrelated_sensors(found: FilteredSolution, setting: Setting) -> Filtere
     return posed(found, setting, noise, has | asks, own_times=False)
 
 
+def without_a_sea(found: FilteredSolution, setting: Setting) -> Filtered | None:
+    """Autocorrelated noise of sensors alone, where a sea was found before that was asked for."""
+    noise, has = found.noise, _autocorrelated(found)
+    if setting.seas or not (noise.seas and has.any()):
+        return None
+    return posed(found, setting, replace(noise, seas=()), has, own_times=False)
+
+
 def as_declared(found: FilteredSolution, setting: Setting) -> tuple[FilteredSolution, Setting]:
     """Sensors as loud as declared, where a level of its own is not worth a claim; and the setting.
 
@@ -341,10 +349,11 @@ def own_times(found: FilteredSolution, setting: Setting) -> Filtered | None:
 
 
 # Parts in the order in which they are asked for, and their prices: noise of inputs that takes the
-# place of forces may be less likely by what the unknowns that it has fewer weigh, and what has
-# vanished always goes.
+# place of forces may be less likely by what the unknowns that it has fewer weigh, a sea that is no
+# longer worth its price goes, and what has vanished always does.
 PARTS: Mapping[Proposal, float | None] = {
     autocorrelated_sensors: WORTH,
+    without_a_sea: -2.0 * WORTH,
     zeros_of_sensors: WORTH,
     sensors_for_forces: WORTH,
     without_vanished: -np.inf,
