@@ -188,6 +188,24 @@ def test_white_sensors_of_unknown_noise_are_no_sea(seed: int) -> None:
     assert fit.sigma == pytest.approx(WHITE, rel=0.15)
 
 
+@pytest.mark.parametrize("number", [2, *slow(0, 3, 4, 5)])
+def test_autocorrelated_noise_of_a_sensor_is_no_sea(number: int) -> None:
+    """A pitch angle whose errors remember: a sea is asked for first, and is worth nothing beside.
+
+    Its colour is found with its size.
+    """
+    scenario = SCENARIOS["colour_0.8"]
+    model = nominal_model(scenario.vehicle)
+    data = dataset(scenario, model, simulate(scenario, 0, [number])[0].runs)
+    fit = MultipleShooting().fit(model, data)
+    assert not fit.noise.seas
+    assert fit.noise.is_white or not fit.noise.has_forces
+    column = model.output_names.index("theta")
+    total = np.hypot(fit.noise.white, fit.noise.colour)[column]
+    assert fit.noise.colour[column] > 0.8 * total
+    assert total == pytest.approx(model.outputs[column].noise_std, rel=0.25)
+
+
 def test_the_constrained_program_ends_where_the_other_does(at_sea: Fit) -> None:
     """IPOPT finds the same sea, an equation in which no waves act included."""
     (sea,) = at_sea.noise.seas
