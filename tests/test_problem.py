@@ -23,7 +23,7 @@ from oed_sysid.experiments import catalogue
 from oed_sysid.experiments.problem import Problem, list_problems, load_problem, new_problem
 from oed_sysid.experiments.starter import TEMPLATES
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import diving_plane_effects, sensor_bias, surface_ship_effects
+from oed_sysid.physics import bodies, diving_plane_effects, sensor_bias, surface_ship_effects
 
 MODEL = small("tug", "r [rad/s] <- rudder [rad]", {"r": "K*rudder - r"}, {"K [1/s]": 0.1}, 0.001)
 DRAG = Force("drag", {"r": "-E*r*abs(r)"}, (Parameter("E", 0.0, "1/rad"),))
@@ -345,3 +345,21 @@ def test_command_takes_template_and_log(tmp_path: Path, log: Path, capsys) -> No
     other.write_text(text)
     with pytest.raises(ProblemError, match="looks like a command"):
         new_problem(tmp_path / "third", log=other)
+
+
+def test_candidates_that_are_left_out_say_what_the_model_lacks() -> None:
+    """An optional candidate on an unknown signal goes, and the signal is named."""
+    whole = load_problem("remus_6dof")
+    odd = Force("odd", {"X": "k*sheet"}, (Parameter("k", 1.0, "N"),), optional=True)
+    changed = replace(whole, effects=(*whole.effects, odd))
+    assert changed.left_out == ("odd",)
+    assert changed.effects == whole.effects
+    assert "'sheet'" in changed.lacking
+    assert not whole.lacking
+
+
+def test_names_that_a_module_has_not_are_none_of_it() -> None:
+    """What asks whether a name exists gets an answer."""
+    assert not hasattr(bodies, "nonsense")
+    with pytest.raises(AttributeError, match=r"RigidBody\.fin"):
+        _ = bodies.fin

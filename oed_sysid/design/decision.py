@@ -78,7 +78,7 @@ from oed_sysid.runtime.display import (
     as_text,
     counted,
 )
-from oed_sysid.runtime.files import write_bytes, write_text
+from oed_sysid.runtime.files import read_bytes, write_bytes, write_text
 
 
 @runtime_checkable
@@ -725,13 +725,10 @@ class Logbook:
 
         Raises
         ------
-        FileError, DataError
+        DataError
             If it cannot be read; nothing is changed then.
         """
-        try:
-            content = Path(path).read_bytes()
-        except OSError as error:
-            raise FileError(f"{str(path)!r} cannot be read: {error.strerror}.") from None
+        content = read_bytes(path)
         for name in self.records:
             if (self.folder / name).read_bytes() == content:
                 raise DesignError(

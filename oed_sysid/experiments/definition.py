@@ -127,6 +127,7 @@ class Problem:
     length: float | None = None
     draught: float | None = None
     left_out: tuple[str, ...] = field(default=(), init=False)
+    _lacking: tuple[str, ...] = field(default=(), init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         self._check_kinds()
@@ -175,7 +176,7 @@ class Problem:
 
     def _check_effects(self) -> None:
         seen: set[str] = set()
-        kept, left = list[Effect](), list[str]()
+        kept, left = list[Effect](), dict[str, str]()
         for effect in self.effects:
             if effect.name in seen:
                 raise ProblemError(
@@ -193,9 +194,10 @@ class Problem:
                         f"Problem {self.name!r}: the candidate {effect.name!r} does not fit the "
                         f"model. {error} Remove it, or give the model what it acts on."
                     ) from None
-                left.append(effect.name)
+                left[effect.name] = f"{effect.name} ({str(error).partition('. ')[0]})"
         object.__setattr__(self, "effects", tuple(kept))
         object.__setattr__(self, "left_out", tuple(left))
+        object.__setattr__(self, "_lacking", tuple(left.values()))
 
     def _check_truth(self) -> None:
         """Refuse true values of parameters that there are not, or beyond their bounds."""
@@ -302,9 +304,8 @@ class Problem:
 
     @property
     def lacking(self) -> str:
-        """Which candidates of its lists the problem has left out, in words; often empty."""
-        names = ", ".join(self.left_out)
-        return f"{names}: the model lacks what they act on" if names else ""
+        """Which candidates of its lists the problem has left out, and why; often empty."""
+        return "; ".join(self._lacking)
 
     def describe(self) -> str:
         """Return what the problem holds, in words."""

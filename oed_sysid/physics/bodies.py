@@ -16,7 +16,6 @@ Examples
 (12, ['K', 'M', 'N', 'X', 'Y', 'Z'])
 """
 
-from oed_sysid import errors
 from oed_sysid.physics.body_candidates import catamaran_effects, underwater_vehicle_effects
 from oed_sysid.physics.rigid_body import RigidBody, load_cell, rigid_body
 from oed_sysid.runtime.version import exported
@@ -26,5 +25,5 @@ __all__ = exported(globals())
 
 def __getattr__(name: str) -> object:
     if name in ("fin", "thruster"):
-        raise errors.ModelError(f"{name} is a method of a body: RigidBody.{name}.")
+        raise AttributeError(f"{name} is a method of a body: RigidBody.{name}.")
     raise AttributeError(f"There is no {name} in {__name__}.")

@@ -760,7 +760,7 @@ class _Lines:
 
 @cache
 def _arrow() -> ModuleType | None:
-    """The reader of pyarrow, five times as fast as NumPy's and as exact, where there is one."""
+    """The reader of pyarrow, faster than NumPy's and as exact, where there is one."""
     try:
         return import_module("pyarrow.csv")
     except ImportError:
