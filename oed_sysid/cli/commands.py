@@ -315,12 +315,14 @@ def report(
     made = read_result(saved, "fit")[1]
     if made.get("command"):
         note(f"Made by oed_sysid {made.get('version')}: {made['command']}")
-    comparison = None
+    comparison = judged = None
     if validate:
         usual = [record.sample_time for record in kept.dataset]
         judged = read_records(validate, kept.model, usual)
-        comparison = oed_sysid.compare({kept.model.name: kept}, judged)
-    document = kept.document(comparison)
+    with progress("Judging the fit"):
+        if judged is not None:
+            comparison = oed_sysid.compare({kept.model.name: kept}, judged)
+        document = kept.document(comparison)
     answer(document.answer, "" if comparison is None else comparison.verdict)
     note(f"Written: {document.write(out)}")
     store(kept.to_dict() | ({"validation": comparison.to_dict()} if comparison else {}))

@@ -267,8 +267,8 @@ def _duration(seconds: float) -> str:
 def progress(what: str, journal: Journal | None = None) -> Iterator[Shown]:
     """Show what is being done and for how much longer, once it takes two seconds.
 
-    On a terminal in one line that goes away; elsewhere as plain lines on standard error, one
-    every ten seconds.
+    On a terminal in one line that goes away; elsewhere as plain lines on standard error, the
+    more seldom the longer it takes.
 
     Parameters
     ----------
