@@ -480,9 +480,13 @@ def departure_of(fit: Estimate) -> Departure | None:
     # Disturbance forces absorb a departure, so that its size is that before them; and what an
     # autopilot does about them is none, so that it has to show beside them as well, unless it needs
     # no forces to be the likelier of the two.
+    return before if asked.departure_likelier or _shows(before, beside) else None
+
+
+def _shows(before: Departure, beside: Sequence[Departure]) -> bool:
+    """Whether a departure is clear, with its sign, beside the process noise as well."""
     same = (one for one in beside if (one.signals, one.kind) == (before.signals, before.kind))
-    shows = any(one.size * np.sign(before.size) > TWO_SIDED_95 * one.std for one in same)
-    return before if shows or asked.departure_likelier else None
+    return any(one.size * np.sign(before.size) > TWO_SIDED_95 * one.std for one in same)
 
 
 def _facts_of(one: Departure, fit: Estimate) -> dict[str, Any]:
