@@ -1153,6 +1153,25 @@ def test_a_claim_that_puts_the_log_right_answers_its_findings() -> None:
         assert with_estimates(log, fit, [effect]).ok is right
 
 
+@pytest.mark.parametrize(("factor", "kind"), [(-1.0, "sign"), (30.0 / np.pi, "unit"), (1.3, "")])
+def test_a_sensor_that_is_another_reading_is_a_finding_of_the_log(factor: float, kind: str) -> None:
+    """A relative error of -2 is a sign, one of 8.55 rpm, one of 0.3 an error of a sensor."""
+    right = yaw_data()
+    column = right.channels.output_names.index("r")
+    by = np.where(np.arange(len(right.channels.outputs)) == column, factor, 1.0)
+    data = Dataset(tuple(one.with_outputs(one.outputs * by) for one in right))
+    effect = sensor_scale("scale_r", "r", scale=0.1, value=factor - 1.0)
+    model = yaw_model().with_values(TRUE) + effect
+    fit = MultipleShooting(disturbances="none").fit(model, data)
+    assert fit.values["E_scale_r"] == pytest.approx(factor - 1.0, rel=0.05)
+    told = with_estimates(LogCheck((), data.names), fit, [effect])
+    assert (told.suspect, *[(one.kind, one.signals) for one in told.serious]) == (
+        (True, (kind, ("r",))) if kind else (False,)
+    )
+    if kind:
+        assert told.serious[0].correction.value == pytest.approx(1.0 / factor)
+
+
 def test_physics_that_was_claimed_answers_what_its_lack_made_of_an_input() -> None:
     """A cubic moment reads as a delay of the fin; one that acts with the fin may be its fault."""
     problem = load_problem("remus_diving_plane")

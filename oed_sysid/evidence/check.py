@@ -39,10 +39,17 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence import contrasts, words
-from oed_sysid.evidence.contrasts import UNEXPLAINED, Piece, Question, Result
+from oed_sysid.evidence.contrasts import (
+    UNEXPLAINED,
+    Candidate,
+    Found,
+    Piece,
+    Question,
+    Result,
+)
 from oed_sysid.evidence.corrections import corrected_copies, why_not_more
 from oed_sysid.evidence.inputs import between_runs, input_findings, scaled_inputs
-from oed_sysid.evidence.readings import Evidence, diagnosed
+from oed_sysid.evidence.readings import Evidence, as_readings, diagnosed
 from oed_sysid.evidence.relations import Relation, names_of, relations, spare_signals, standard
 from oed_sysid.evidence.result import (
     Balance,
@@ -68,6 +75,7 @@ from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.constants import BEYOND, MATERIAL, NEGLIGIBLE
 from oed_sysid.text.expressions import names as names_in
+from oed_sysid.text.expressions import to_numpy
 
 __all__ = [
     "Balance",
@@ -293,9 +301,11 @@ def with_estimates(
     -------
     LogCheck
         Suspect as well where values are many prior deviations away (``far``) or an input acts
-        otherwise than the start values say (``input_factor``), and where a sensor that is late,
-        off, of another scale, clock or place explains what the fit leaves; with parameters that
-        are others in single records (``run``), and without noise that the fit finds to be motion.
+        otherwise than the start values say (``input_factor``), where an effect of a sensor in the
+        model has the value of another sign or unit (``sign``, ``unit``), and where a sensor that is
+        late, off, of another scale, clock or place explains what the fit leaves; with parameters
+        that are others in single records (``run``), and without noise that the fit finds to be
+        motion.
     """
     begun, noisy = nominal or fit.nominal, _noisier(fit)
     findings = [
@@ -303,12 +313,40 @@ def with_estimates(
         for one in _left(log, fit, records or fit.dataset, claimed, begun)
         if one.kind != "noise" or noisy.issuperset(one.signals)
     ]
+    found = {one.name for one in findings}
+    findings += [one for one in _read_as(log, fit) if one.name not in found]
     for one in input_factors(fit, begun):
         row = {"says": one.text, "name": one.channel.name}
         findings.append(words.said("input_factor", (one.channel.name,), log.records, row))
     findings += [*_departed(log, fit), *_zeros(log, fit), *_far(fit, log.records)]
     findings += [*scaled_inputs(fit), *between_runs(fit)]
     return replace(log, findings=tuple(_ordered(findings)))
+
+
+def _read_as(log: LogCheck, fit: Fit) -> Iterator[Finding]:
+    """Signs and units that sensors of the model stand for: no sensor errs by such a factor."""
+    channels = fit.dataset.channels
+    told = words.Log(channels, (), log.records)
+    units = {one.name: one.unit for one in channels.outputs}
+    for name, size, error in _scales(fit):
+        scale = Found(Candidate("scale", (name,), "1"), size, error)
+        yield from map(told.reading, as_readings(scale, units))
+
+
+def _scales(fit: Fit) -> Iterator[tuple[str, float, float]]:
+    """Outputs that the model takes in proportion, with the relative error and its deviation."""
+    for effect in fit.model.effects:
+        own = {p.name for p in effect.parameters} & {*fit.std_errors}
+        terms = {str(key): term for key, term in effect.terms.items()}
+        for name, term in terms.items() if effect.stage == "sensor" and len(own) == 1 else ():
+            (size,) = own
+            if {*names_in(term)} == {name, size}:
+                # A share of the output, at any size of either: E y is twice as large for 2 y.
+                scope = {name: np.array([0.0, 1.0, 2.0]), size: fit.values[size]}
+                added = to_numpy(term, scope) - scope[name]
+                if np.allclose(added, added[1] * scope[name]) and added[1]:
+                    slope = float(added[1] / fit.values[size])
+                    yield name, float(added[1]), abs(slope) * fit.std_errors[size]
 
 
 def _left(

@@ -53,7 +53,7 @@ def diagnosed(traces: Sequence[Trace], question: Question) -> tuple[list[Found],
     ends = [search(right, question) if found or plain.strained else plain]
     ends += [search(right, question, start=start)] if start else []
     best = max(ends, key=lambda end: _worth(end, right, question))
-    if named := [reading for one in best.found for reading in _as_units(one, units_of(traces))]:
+    if named := [reading for one in best.found for reading in as_readings(one, units_of(traces))]:
         found = [*found, *named]
         right = mended(traces, found, question.relations)
         best = search(right, question)
@@ -87,15 +87,28 @@ def _worth(end: Result, traces: Sequence[Trace], question: Question) -> float:
     return float(Evidence(question, left).told.sum()) - CLOSE * len(end.found)
 
 
-def _as_units(one: Found, units: Mapping[str, str]) -> list[Found]:
-    """A scale that is that of a sign or a unit within its error, as another reading."""
+def as_readings(one: Found, units: Mapping[str, str]) -> list[Found]:
+    """A scale that is that of a sign or a unit within its error, as another reading.
+
+    Parameters
+    ----------
+    one : Found
+        A ``scale``: its size is the relative error, 1; or ``lost``: the share that is left.
+    units : mapping of str to str
+        Units of the signals.
+
+    Returns
+    -------
+    list of Found
+        One ``sign`` or ``unit``, or nothing.
+    """
     fault, names = one.candidate, one.candidate.signals
     if fault.kind not in ("scale", "lost") or fault.record or fault.placed:
         return []
     lost = fault.kind == "lost"
     by = 1.0 - one.size if lost else 1.0 / (1.0 + one.size)
     error = one.std if lost else one.std * by**2
-    factors = [*READINGS.get(units[names[0]], ()), *[(-1.0, "")] * lost]
+    factors = [*READINGS.get(units[names[0]], ()), (-1.0, "")]
     near = [
         Found(Candidate("unit" if factor > 0.0 else "sign", names, meaning=meaning), factor)
         for factor, meaning in factors
