@@ -468,3 +468,28 @@ def test_what_averages_the_noise_of_an_input_is_no_delay(late: float) -> None:
     else:
         assert found.values["E_late"] == pytest.approx(0.0033, abs=0.0005)
         assert decided.decision == "T below threshold with inputs smoothed"
+
+
+def test_what_makes_whole_runs_worse_is_no_headline_where_structure_is_left() -> None:
+    """Forces let runs of the better model wander by chance only where nothing else is left."""
+    found = improve(SHIP, dataset(11, -15.0), dataset(12, -15.0), candidates=CANDIDATES)
+    assert found.headlined == found.steps
+    before, (step,) = found.base_error["test"], found.steps
+    open_ = replace(found.remains, unjudged=("something",))
+    calm = replace(found.remains, unjudged=())
+    for ratio, remains, verdict in (
+        (0.99 * RISE, open_, "missing"),
+        (1.01 * RISE, open_, "unexplained"),
+        (1.01 * RISE, calm, "missing"),
+        (np.inf, open_, "unexplained"),
+    ):
+        worsened = replace(step, errors={"train": 1.0, "test": ratio * before})
+        told = replace(found, steps=(worsened,), remains=remains)
+        assert told.verdict == verdict
+        assert len(told.headlined) == (verdict == "missing")
+    # A step after it was found beside it, and is no headline either.
+    later = replace(step, errors={"train": 1.0, "test": 0.5 * before})
+    first = replace(step, errors={"train": 1.0, "test": 0.8 * before})
+    both = replace(found, steps=(first, worsened, later), remains=open_)
+    assert both.headlined == (first,)
+    assert both.verdict == "missing"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, takewhile
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from oed_sysid.evidence.propose import Proposals
 from oed_sysid.evidence.rank import Ranking, hopeful
 from oed_sysid.evidence.remainder import Remains
 from oed_sysid.evidence.sentences import SAYS, say
-from oed_sysid.evidence.study import RISE
+from oed_sysid.evidence.study import RISE, worse
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
 from oed_sysid.likelihood.noise_levels import signal_spread
@@ -286,10 +286,27 @@ class Improvement:
 
     @property
     def verdict(self) -> str:
-        """``missing``, ``unexplained`` (more than noise, no claim) or ``nothing_missing``."""
-        if self.steps and self.remains.kind != "log suspect":
+        """``missing``, ``unexplained`` (more than noise, no claim) or ``nothing_missing``.
+
+        A claim with which whole validation runs get worse is none where structure is left.
+        """
+        if self.headlined and self.remains.kind != "log suspect":
             return "missing"
         return "nothing_missing" if self.remains.kind in EXPLAINED else "unexplained"
+
+    @property
+    def headlined(self) -> tuple[Step, ...]:
+        """The steps up to the first with which whole validation runs get worse.
+
+        Beside disturbance forces runs of the better model may wander; where structure is left,
+        forces are no excuse.
+        """
+        if self.remains.kind not in OPEN:
+            return self.steps
+        before = (self.base_error["test"], *(step.test_error for step in self.steps[:-1]))
+        pairs = zip(self.steps, before, strict=False)  # without a step one more
+        kept = takewhile(lambda pair: not worse(pair[1], pair[0].test_error, RISE), pairs)
+        return tuple(step for step, _ in kept)
 
     @property
     def located(self) -> dict[str, float]:
@@ -391,17 +408,19 @@ class Improvement:
     def _answer(self) -> str:
         """What is missing, and what it is worth on the validation records."""
         which, records = self._judged
-        before, after = self.base_error[which], self.final_error[which]
+        steps = self.headlined
+        path = (self.base_error, *(step.errors for step in steps))
+        before, after = path[0][which], path[-1][which]
         verdict, kind = self.verdict, self.remains.kind
         detail = "open" if verdict == "missing" and kind in OPEN else kind
-        effects = (f"{in_words(step.effect, self.base)} ({step.added})" for step in self.steps)
+        effects = (f"{in_words(step.effect, self.base)} ({step.added})" for step in steps)
+        size = f" ({self.remains.size})" * bool(self.remains.size and len(steps) == len(self.steps))
         row = f"{verdict}, {detail}"
         return say(
             "answer", row if row in SAYS["answer"] else verdict,
             model=self.base.name, effects=" and ".join(effects), records=records, kind=kind,
-            them="it" if len(self.steps) == 1 else "them", error=before, after=after,
-            goes="falls" if after < before else "does not fall: it goes",
-            size=f" ({self.remains.size})" * bool(self.remains.size),
+            them="it" if len(steps) == 1 else "them", error=before, after=after,
+            goes="falls" if after < before else "does not fall: it goes", size=size,
         )  # fmt: skip
 
     def _story(self) -> display.Section:
@@ -515,7 +534,7 @@ def advice(result: Improvement) -> list[str]:
         other = _other_law(step, result.steps, estimates)
         stands_for = "what is still missing" if kind in OPEN else other
         found, doubts = _judged(step, estimates, before, stands_for, sized=kind in EXPLAINED)
-        believe += found
+        believe += found * (step in result.headlined)
         doubt += doubts
         sea += _manoeuvre(step.group, known, bool(result.base.inputs))
         before = step.test_error
