@@ -19,6 +19,7 @@ from oed_sysid import Dataset, Record, check, compare, diagnose, improve, simula
 from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.evidence.misfit import failing
 from oed_sysid.evidence.preparation import prepared
+from oed_sysid.evidence.propose import cyclic
 from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import Sizes, equipped, settled
 from oed_sysid.experiments.problem import Problem, load_problem
@@ -33,7 +34,9 @@ from oed_sysid.physics.channels import Input
 from oed_sysid.physics.model import Model
 from oed_sysid.results import plot_prediction
 from oed_sysid.testing import check_effect
-from oed_sysid.text.expressions import to_numpy
+from oed_sysid.text.expressions import names, to_numpy
+
+POWERS = ("constant", "linear", "quadratic", "cubic")
 
 
 def records(name: str, *, hidden=None, copies: int = 1, seed: int = 0) -> Dataset:  # type: ignore[no-untyped-def]
@@ -182,6 +185,103 @@ def test_nothing_hidden_nothing_claimed() -> None:
     assert not improve(SHIP, dataset(21), dataset(22)).steps
 
 
+<<<<<<< HEAD
+=======
+def twin_screw(port: str, starboard: str, own: str = "kt") -> Model:
+    """A boat of two propellers, in plain equations; the starboard one with a coefficient."""
+    units = {"x": "m", "y": "m", "psi": "rad", "u": "m/s", "r": "rad/s"}
+    squares = [f"{name}*abs({name})" for name in (port, starboard)]
+    values = {"kt": 0.0012, "kn": 0.0008, "xu": 0.3, "dn": 0.6, own: 0.0012}
+    return Model(
+        name="boat",
+        states=tuple(State(name, unit) for name, unit in units.items()),
+        inputs=(Input(port, "1/s"), Input(starboard, "1/s")),
+        outputs=tuple(Output(name, unit, noise_std=0.01) for name, unit in units.items()),
+        kinematics={
+            "x": "u*cos(psi)", "y": "u*sin(psi)", "psi": "r",
+            "u": f"kt*{squares[0]} + {own}*{squares[1]} - xu*u",
+            "r": f"kn*({squares[0]} - {squares[1]}) - dn*r",
+        },
+        parameters=tuple(Parameter(name, value) for name, value in values.items()),
+        step=0.2,
+    )  # fmt: skip
+
+
+def made_for(model: Model) -> dict[str, Effect]:
+    """Usual candidates for a run in which every input moves by itself."""
+    times, rng = np.arange(0.0, 60.0, 0.5), np.random.default_rng(5)
+    moved = {i.name: np.repeat(rng.uniform(2.0, 9.0, 12), 10) for i in model.inputs}
+    run = simulate_inputs(model, times, inputs=moved)
+    record = Record("run", times, run.inputs, run.outputs, model.channels)
+    return {e.name: e for e in usual_effects(model, Dataset((record,)))}
+
+
+@pytest.mark.parametrize("names", [("nl", "nr"), ("n_l", "n_r"), ("left", "right")])
+def test_twins_are_told_by_how_they_act_and_not_by_name(names: tuple[str, str]) -> None:
+    """The gain of each of two propellers that share all coefficients, and the lag of both."""
+    made, apart = made_for(twin_screw(*names)), made_for(twin_screw(*names, own="kt_own"))
+    wanted = {f"{names[0]}_gain", f"{names[1]}_gain", f"{names[0]}_{names[1]}_lag"}
+    assert wanted <= made.keys()
+    assert not wanted & apart.keys()
+
+
+def plain_hovercraft() -> Model:
+    """Surge, sway and yaw in plain equations, over ground where north and east are its places."""
+    units = {"north": "m", "east": "m", "psi": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}
+    return Model(
+        name="hovercraft",
+        states=tuple(State(name, unit) for name, unit in units.items()),
+        inputs=(Input("T", "N"), Input("vane", "rad")),
+        outputs=tuple(Output(name, unit, noise_std=0.01) for name, unit in units.items()),
+        kinematics={
+            "north": "u*cos(psi) - v*sin(psi)", "east": "u*sin(psi) + v*cos(psi)", "psi": "r",
+            "u": "T/m - xu*u + v*r", "v": "-yv*v - u*r", "r": "nd*T*vane - dn*r",
+        },
+        parameters=(
+            Parameter("m", 700.0, "kg"), Parameter("xu", 0.15, "1/s"), Parameter("yv", 0.2, "1/s"),
+            Parameter("nd", 0.001, "1/(kg m)"), Parameter("dn", 0.6, "1/s"),
+        ),
+        step=0.1,
+    )  # fmt: skip
+
+
+def test_plain_equations_of_a_vehicle_get_wind_drift_and_inertia() -> None:
+    """What names and units of states say serves as declared axes do, per unit of inertia."""
+    model = plain_hovercraft()
+    made = made_for(model)
+    wind = made["wind"]
+    at = {"psi": 0.7, "E_wind_north": 0.3, "E_wind_east": -0.2, "arm_wind": 0.5}
+    found = [float(to_numpy(wind.terms[state], at)) for state in "uvr"]
+    turn = Rotation.from_euler("Z", 0.7).as_matrix().T
+    along, side, _ = turn @ [0.3, -0.2, 0.0]
+    np.testing.assert_allclose(found, [along, side, 0.5 * side])
+    assert [p.unit for p in wind.parameters if p.name.startswith("E")] == ["m/s^2"] * 2
+    assert {"drift_north", "drift_east"} <= made.keys()
+    factor = made["inertia_v"].terms["v"]
+    assert float(
+        to_numpy(factor, {"yv": 0.2, "v": 2.0, "u": 3.0, "r": 0.1, "E_inertia_v": 0.5})
+    ) == pytest.approx(0.5 * (-0.4 - 0.3))
+    rng = np.random.default_rng(3)
+    for name in ("wind", "drift_north", "inertia_u", "inertia_v", "inertia_r"):
+        check_effect(made[name], model, rng=rng, n_points=1, n_times=12)
+
+
+def test_places_and_heading_without_influence_cause_no_force() -> None:
+    """Calm water is the same at every place and heading, whatever the places are called."""
+    model = plain_hovercraft()
+    places = {"north", "east", "psi"}
+    assert cyclic(model) == places
+    terms = [e.terms for name, e in made_for(model).items() if name.partition("_")[0] in POWERS]
+    assert len(terms) > 10
+    held = set[str]().union(*(names(text) for one in terms for text in one.values()))
+    assert not places & held
+    moored = replace(model, kinematics={**model.kinematics, "u": "T/m - xu*u + v*r - xu*north"})
+    assert not cyclic(moored)  # a mooring knows its place, and so which way the vehicle heads
+    dives = replace(model, kinematics={**model.kinematics, "r": "nd*T*vane - dn*sin(psi)"})
+    assert not cyclic(dives)
+
+
+>>>>>>> 13b99c19 (Plain equations of a vehicle get wind, drifts, weight and inertia as axes do)
 def test_a_published_problem_without_candidates_is_equipped() -> None:
     """Sizes come from its experiments where there are no records; named candidates stay."""
     torpedo = equipped(load_problem("torpedo"))

@@ -252,16 +252,34 @@ def _kinds(model: Model) -> Iterator[tuple[str, str, str]]:
 
 
 def cyclic(model: Model) -> set[str]:
-    """Coordinates that merely integrate a velocity, and on which no equation depends.
+    """Coordinates that merely integrate velocities, and on which no equation of forces depends.
 
-    Calm water is the same at every place and heading: a heading of a steering
-    model is no cause of a force.
+    Calm water is the same at every place and heading: a heading of a steering model is no cause of
+    a force, nor are positions that it turns velocities into. Depth, which no heading turns, may be.
     """
-    if model.axes:
-        return set()
-    states = set(model.state_names)
-    used = {name for text in model.kinematics.values() for name in expressions.names(text)}
-    return {s for s, text in model.kinematics.items() if text in states and s not in used}
+    held = {state: expressions.names(text) for state, text in model.kinematics.items()}
+    known = set(model.state_names)
+    left = set() if model.axes else {state for state, names in held.items() if names <= known}
+    found = set[str]()
+    while found != left:
+        found = left
+        felt = _felt(model, found)
+        left = {state for state in found - felt if _is_still(model, state, held[state], found)}
+    return found
+
+
+def _felt(model: Model, found: set[str]) -> set[str]:
+    """What equations, signals and effects hold, those of some coordinates left out."""
+    texts = [text for state, text in model.kinematics.items() if state not in found]
+    felt = set[str]().union(*map(expressions.names, (*texts, *model.signals.values())))
+    return felt.union(*(effect.uses() for effect in model.effects))
+
+
+def _is_still(model: Model, state: str, held: frozenset[str], found: set[str]) -> bool:
+    """Whether it integrates a velocity alone, turns, or is a place that what was found turns."""
+    unit = model.states[model.state_names.index(state)].unit
+    alone = model.kinematics[state] in model.state_names
+    return state not in held and (alone or unit != "m" or bool(held & found))
 
 
 def terms(model: Model, signals: Sequence[Signal]) -> list[Term]:

@@ -27,7 +27,12 @@ from oed_sysid.evidence.study import total_error
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.between_records import FEWEST
-from oed_sysid.likelihood.disturbances import disturbance, equation_units, places
+from oed_sysid.likelihood.disturbances import (
+    disturbance,
+    equation_units,
+    places,
+    vehicle_axes,
+)
 from oed_sysid.likelihood.start_guess import (
     check_channels,
     kinematic_states,
@@ -414,8 +419,12 @@ def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:
 
 def _drifts(model: Model, scale: float) -> Iterator[Effect]:
     """A current that carries positions along, where forces do not know the flow."""
-    for state in model.states if model.axes else ():
-        if state.name in (*HORIZONTAL, "z", "zeta") and state.name in model.kinematics:
+    still, angles = cyclic(model), {state.name for state in model.states if state.unit == "rad"}
+    for state in model.states:
+        # An angle turns velocities into its rate; or it is a distance run, on which nothing hangs.
+        turned = angles & expressions.names(model.kinematics.get(state.name, "0"))
+        named = model.axes and state.name in {*HORIZONTAL, "z", "zeta"} & model.kinematics.keys()
+        if named or (state.unit == "m" and (turned or state.name in still)):
             name = f"drift_{state.name}"
             size = Parameter(f"E_{name}", 0.0, f"{state.unit}/s", scale=scale)
             yield Force(
@@ -451,13 +460,14 @@ def _current(
 
 def _weights(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Weight in water, where an angle turns it."""
-    if "Z" not in model.axes or not {"phi", "theta"} & set(model.state_names):
+    axes = vehicle_axes(model)
+    if "Z" not in axes or not {"phi", "theta"} & set(model.state_names):
         return
-    size = Parameter("E_weight", 0.0, "N", scale=SHARE * sizes.force("Z", model.axes["Z"]))
+    size = amplitude("weight", _load(model, "Z"), scale=SHARE * sizes.force(*axes["Z"]))
     pulls = zip("XYZ", rotation(model.state_names)[2], strict=True)
     yield Force(
         "weight",
-        {a: f"{size.name}*({text})" for a, text in pulls if a in model.axes and text != "0"},
+        {axes[a][0]: f"{size.name}*({text})" for a, text in pulls if a in axes and text != "0"},
         (size,),
         description="weight less buoyancy differs from its nominal value",
         source=SOURCES["WEIGHT"],
@@ -465,20 +475,46 @@ def _weights(model: Model, sizes: Sizes) -> Iterator[Effect]:
     )
 
 
+def _load(model: Model, axis: str) -> str:
+    """Unit of the force of an axis: an acceleration where the equation is a rate."""
+    load = equation_units(model)[vehicle_axes(model)[axis][0]]
+    return load if model.axes else str(dimension(load).plain)
+
+
 def _winds(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """A steady wind, where the heading is a state."""
-    axes = tuple(axis for axis in ("X", "Y", "N") if axis in model.axes)
-    if not {"X", "Y"} <= set(axes) or "psi" not in model.state_names:
+    axes = {axis: own for axis, own in vehicle_axes(model).items() if axis in "XYN"}
+    if not {"X", "Y"} <= axes.keys() or "psi" not in model.state_names:
         return
-    across = sizes.force("Y", model.axes["Y"])
-    arm = sizes.force("N", model.axes["N"]) / across if "N" in axes and across > 0 else 1.0
-    yield forces.steady_wind(axes=axes, force=SHARE * across or 1.0, arm=arm or 1.0)
+    across = sizes.force(*axes["Y"])
+    arm = sizes.force(*axes["N"]) / across if "N" in axes and across > 0 else 1.0
+    wind = forces.steady_wind(axes=tuple(axes), force=SHARE * across or 1.0, arm=arm or 1.0)
+    units = {"N": (force := _load(model, "Y"))}
+    if "N" in axes:
+        units["m"] = _per(_load(model, "N"), force)
+    yield replace(
+        wind,
+        terms={axes[axis][0]: text for axis, text in wind.terms.items()},
+        parameters=tuple(replace(one, unit=units[one.unit]) for one in wind.parameters),
+    )
 
 
 def _inertias(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    for axis, state in model.axes.items():
-        mass = 1.0 / sizes.mobility[axis]
-        yield from listed("usual_inertia", equation=axis, state=state, mass=mass)
+    """Errors of inertia; of an equation that is a rate, a factor on the whole of it."""
+    for equation, state in vehicle_axes(model).values():
+        if model.axes:
+            mass = 1.0 / sizes.mobility[equation]
+            yield from listed("usual_inertia", equation=equation, state=state, mass=mass)
+            continue
+        error = Parameter(f"E_inertia_{state}", 0.0, "", -0.5, 0.5, scale=SHARE)
+        yield Force(
+            f"inertia_{state}",
+            {equation: f"{error.name}*({model.kinematics[state]})"},
+            (error,),
+            description=f"every force in the {state} equation acts on another inertia",
+            source=SOURCES["NEWMAN"],
+            needs="accelerations at several speeds, to tell inertia from damping",
+        )
 
 
 def _commands(model: Model, sizes: Sizes) -> Iterator[Effect]:

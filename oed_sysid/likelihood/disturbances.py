@@ -33,6 +33,19 @@ def disturbed_equations(model: Model) -> tuple[str, ...]:
     )
 
 
+def vehicle_axes(model: Model) -> dict[str, tuple[str, str]]:
+    """Equation and velocity of every axis ``X Y Z K M N`` of a vehicle, however it is written.
+
+    Declared axes, else what the names and units of states say: the rate of ``u`` in m/s is the
+    surge equation of a model without axes, where it is no identity.
+    """
+    if model.axes:
+        return {axis: (axis, velocity) for axis, velocity in model.axes.items()}
+    units, forced = {s.name: s.unit for s in model.states}, disturbed_equations(model)
+    found = zip("XYZKMN", "uvwpqr", ["m/s"] * 3 + ["rad/s"] * 3, strict=True)
+    return {axis: (s, s) for axis, s, unit in found if s in forced and units[s] == unit}
+
+
 @dataclass(frozen=True)
 class Place:
     """One place of the chain.
