@@ -281,6 +281,9 @@ def test_places_and_heading_without_influence_cause_no_force() -> None:
     assert not cyclic(dives)
 
 
+<<<<<<< HEAD
+>>>>>>> 13b99c19 (Plain equations of a vehicle get wind, drifts, weight and inertia as axes do)
+=======
 >>>>>>> 13b99c19 (Plain equations of a vehicle get wind, drifts, weight and inertia as axes do)
 def test_a_published_problem_without_candidates_is_equipped() -> None:
     """Sizes come from its experiments where there are no records; named candidates stay."""
