@@ -28,9 +28,9 @@ from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import Force, Parameter, amplitude
+from oed_sysid.physics import Effect, Force, Parameter, amplitude
 from oed_sysid.physics.bodies import rigid_body
-from oed_sysid.physics.channels import Input
+from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.results import plot_prediction
 from oed_sysid.testing import check_effect
@@ -185,8 +185,6 @@ def test_nothing_hidden_nothing_claimed() -> None:
     assert not improve(SHIP, dataset(21), dataset(22)).steps
 
 
-<<<<<<< HEAD
-=======
 def twin_screw(port: str, starboard: str, own: str = "kt") -> Model:
     """A boat of two propellers, in plain equations; the starboard one with a coefficient."""
     units = {"x": "m", "y": "m", "psi": "rad", "u": "m/s", "r": "rad/s"}
@@ -281,10 +279,6 @@ def test_places_and_heading_without_influence_cause_no_force() -> None:
     assert not cyclic(dives)
 
 
-<<<<<<< HEAD
->>>>>>> 13b99c19 (Plain equations of a vehicle get wind, drifts, weight and inertia as axes do)
-=======
->>>>>>> 13b99c19 (Plain equations of a vehicle get wind, drifts, weight and inertia as axes do)
 def test_a_published_problem_without_candidates_is_equipped() -> None:
     """Sizes come from its experiments where there are no records; named candidates stay."""
     torpedo = equipped(load_problem("torpedo"))

@@ -411,17 +411,21 @@ class Improvement:
         steps = self.headlined
         path = (self.base_error, *(step.errors for step in steps))
         before, after = path[0][which], path[-1][which]
-        verdict, kind = self.verdict, self.remains.kind
-        detail = "open" if verdict == "missing" and kind in OPEN else kind
+        kind = self.remains.kind
         effects = (f"{in_words(step.effect, self.base)} ({step.added})" for step in steps)
         size = f" ({self.remains.size})" * bool(self.remains.size and len(steps) == len(self.steps))
-        row = f"{verdict}, {detail}"
         return say(
-            "answer", row if row in SAYS["answer"] else verdict,
+            "answer", self._row("answer"),
             model=self.base.name, effects=" and ".join(effects), records=records, kind=kind,
             them="it" if len(steps) == 1 else "them", error=before, after=after,
             goes="falls" if after < before else "does not fall: it goes", size=size,
         )  # fmt: skip
+
+    def _row(self, table: str) -> str:
+        """Row of a table of sentences: of the verdict, or of verdict and what is left."""
+        verdict, kind = self.verdict, self.remains.kind
+        row = f"{verdict}, {'open' if verdict == 'missing' and kind in OPEN else kind}"
+        return row if row in SAYS[table] else verdict
 
     def _story(self) -> display.Section:
         """The steps, or why there is none, and what the training records alone would have said."""
@@ -436,7 +440,7 @@ class Improvement:
                     lines.append(say("story", "alike", name=step.added, others=others))
             tables = (display.Table(headers, rows), *tables)
         else:
-            lines.append(SAYS["story"][self.verdict])
+            lines.append(SAYS["story"][self._row("story")])
             best = self.ranking.refits[0] if self.ranking.refits else None
             if best is not None and hopeful(best, 0.0) and best.gain < best.needed:
                 gains = {"gain": best.gain, "needed": best.needed}

@@ -8,14 +8,15 @@ deviation. Sizes scale the unknowns; they are no priors.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import ceil, prod
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
+from oed_sysid.compiled.graph import build
 from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
@@ -62,8 +63,6 @@ IN_PLANE, ACROSS = ("u", "w", "q"), ("v", "p", "r")
 RIGHTING = {"K": "phi", "M": "theta"}
 # An input in this unit or with such a name is no command but a measured flow.
 FLOW_UNIT, FLOWS = "m/s", ("wind", "wave", "current")
-# Names of twins that have nothing in common.
-SIDES = ("port", "starboard", "left", "right", "upper", "lower")
 
 
 class Sizes:
@@ -524,11 +523,12 @@ def _commands(model: Model, sizes: Sizes) -> Iterator[Effect]:
         for signal, unit in commanded(model).items()
         if sizes.swing.get(signal, 0.0) > 0 and unit != FLOW_UNIT and not signal.startswith(FLOWS)
     }
-    alike: dict[tuple[str, str], list[str]] = {}
+    way = _ways(model)
+    alike: dict[tuple[str, bytes], list[str]] = {}
     for signal, unit in units.items():
-        alike.setdefault((unit, _stem(signal)), []).append(signal)
+        alike.setdefault((unit, way[signal]), []).append(signal)
     for signal, unit in units.items():
-        several = len(alike[unit, _stem(signal)]) > 1  # of one alone, free derivatives are its gain
+        several = len(alike[unit, way[signal]]) > 1  # of one alone, free derivatives are its gain
         yield from listed(
             "usual_command", signal=signal, unit=unit, time=sizes.time,
             swing=sizes.swing[signal], level=sizes.level[signal],
@@ -540,10 +540,28 @@ def _commands(model: Model, sizes: Sizes) -> Iterator[Effect]:
             yield from _moved(twins, unit, sizes)
 
 
-def _stem(signal: str) -> str:
-    """What the names of twins have in common: ``n`` of ``n_l``, nothing of ``port``."""
-    first = re.split(r"[_\d]", signal)[0]
-    return "" if first in SIDES else first
+def _ways(model: Model) -> dict[str, bytes]:
+    """How every actuator signal acts: in which equations, by which states and free parameters.
+
+    The same for twin propellers, whatever they are called: neither has a coefficient of its own
+    that is estimated.
+    """
+    if not model.inputs:
+        return {}
+    graph = build(model)
+    x, rate, drive, p, t = graph.balance.sx_in()
+    slopes = ca.jacobian(graph.balance(x, rate, drive, p, t), drive)
+    by = ca.vertcat(x, p[list(graph.free_indices)])
+    held = ca.jacobian_sparsity(ca.vec(ca.densify(slopes)), by)
+    there, held = (np.array(ca.DM(where, 1.0)) != 0 for where in (slopes.sparsity(), held))
+    each = np.split(held, there.shape[1])  # rows run through the equations of one after another
+    free = set(model.free_names)
+    return {
+        signal: there[:, k].tobytes()
+        + each[k].tobytes()
+        + " ".join(sorted(expressions.names(text) & free)).encode()
+        for k, (signal, text) in enumerate(model.actuator_signals.items())
+    }
 
 
 def _moved(moved: Sequence[str], unit: str, sizes: Sizes) -> list[Effect]:

@@ -23,6 +23,9 @@ from oed_sysid.physics.model import Model
 Answer = TypeVar("Answer")
 Asked = ParamSpec("Asked")
 
+# Fewest samples of a record of which whiteness is tested.
+TESTED = 11
+
 
 @dataclass(frozen=True)
 class Status:
@@ -441,17 +444,20 @@ class Estimate:
             name: tuple(
                 whiteness(residual[:, column])
                 for residual in self.series
-                if np.isfinite(residual[:, column]).sum() > 10
+                if np.isfinite(residual[:, column]).sum() >= TESTED
             )
             for column, name in enumerate(self.model.output_names)
         }
 
     def effective_samples(self) -> dict[str, tuple[float, int]]:
-        """Effective and actual number of samples of each output; independent tests count whole."""
+        """Effective and actual number of samples of each output.
+
+        Independent tests, and records that are too short for a test of whiteness, count whole.
+        """
         alone = np.zeros(len(self.model.outputs), dtype=int)
         for record, residual in zip(self.dataset, self.residuals, strict=True):
-            if record.independent:
-                alone += np.isfinite(residual).sum(axis=0)
+            seen = np.isfinite(residual).sum(axis=0)
+            alone += np.where(record.independent | (seen < TESTED), seen, 0)
         return {
             name: (
                 float(sum(test.effective_samples for test in tests)) + float(count),
