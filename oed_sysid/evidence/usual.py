@@ -482,19 +482,24 @@ def _load(model: Model, axis: str) -> str:
 
 def _winds(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """A steady wind, where the heading is a state."""
-    axes = {axis: own for axis, own in vehicle_axes(model).items() if axis in "XYN"}
+    known = vehicle_axes(model)
+    axes = {axis: known[axis] for axis in "XYN" if axis in known}
     if not {"X", "Y"} <= axes.keys() or "psi" not in model.state_names:
         return
     across = sizes.force(*axes["Y"])
     arm = sizes.force(*axes["N"]) / across if "N" in axes and across > 0 else 1.0
     wind = forces.steady_wind(axes=tuple(axes), force=SHARE * across or 1.0, arm=arm or 1.0)
-    units = {"N": (force := _load(model, "Y"))}
-    if "N" in axes:
-        units["m"] = _per(_load(model, "N"), force)
-    yield replace(
-        wind,
-        terms={axes[axis][0]: text for axis, text in wind.terms.items()},
-        parameters=tuple(replace(one, unit=units[one.unit]) for one in wind.parameters),
+    push = _load(model, "Y")
+    units = {"N": push, "m": _per(_load(model, "N"), push) if "N" in axes else "m"}
+    yield _rewritten(wind, {axis: equation for axis, (equation, _) in axes.items()}, units)
+
+
+def _rewritten(force: Force, equations: Mapping[str, str], units: Mapping[str, str]) -> Force:
+    """A force of axes in the equations of a model, with their units."""
+    return replace(
+        force,
+        terms={equations[axis]: text for axis, text in force.terms.items()},
+        parameters=tuple(replace(one, unit=units[one.unit]) for one in force.parameters),
     )
 
 
@@ -504,6 +509,7 @@ def _inertias(model: Model, sizes: Sizes) -> Iterator[Effect]:
         if model.axes:
             mass = 1.0 / sizes.mobility[equation]
             yield from listed("usual_inertia", equation=equation, state=state, mass=mass)
+        if model.axes or sizes.rate[state] <= 0.0:
             continue
         error = Parameter(f"E_inertia_{state}", 0.0, "", -0.5, 0.5, scale=SHARE)
         yield Force(
