@@ -484,10 +484,10 @@ def _winds(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """A steady wind, where the heading is a state."""
     known = vehicle_axes(model)
     axes = {axis: known[axis] for axis in "XYN" if axis in known}
-    if not {"X", "Y"} <= axes.keys() or "psi" not in model.state_names:
+    if not {"X", "Y", "psi"} <= axes.keys() | set(model.state_names):
         return
     across = sizes.force(*axes["Y"])
-    arm = sizes.force(*axes["N"]) / across if "N" in axes and across > 0 else 1.0
+    arm = sizes.force(*axes.get("N", axes["Y"])) / across if across > 0 else 1.0
     wind = forces.steady_wind(axes=tuple(axes), force=SHARE * across or 1.0, arm=arm or 1.0)
     push = _load(model, "Y")
     units = {"N": push, "m": _per(_load(model, "N"), push) if "N" in axes else "m"}
