@@ -504,22 +504,10 @@ def _rewritten(force: Force, equations: Mapping[str, str], units: Mapping[str, s
 
 
 def _inertias(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    """Errors of inertia; of an equation that is a rate, a factor on the whole of it."""
-    for equation, state in vehicle_axes(model).values():
-        if model.axes:
-            mass = 1.0 / sizes.mobility[equation]
-            yield from listed("usual_inertia", equation=equation, state=state, mass=mass)
-        if model.axes or sizes.rate[state] <= 0.0:
-            continue
-        error = Parameter(f"E_inertia_{state}", 0.0, "", -0.5, 0.5, scale=SHARE)
-        yield Force(
-            f"inertia_{state}",
-            {equation: f"{error.name}*({model.kinematics[state]})"},
-            (error,),
-            description=f"every force in the {state} equation acts on another inertia",
-            source=SOURCES["NEWMAN"],
-            needs="accelerations at several speeds, to tell inertia from damping",
-        )
+    """Errors of declared inertia; of equations that are rates free parameters hold it."""
+    for axis, state in model.axes.items():
+        mass = 1.0 / sizes.mobility[axis]
+        yield from listed("usual_inertia", equation=axis, state=state, mass=mass)
 
 
 def _commands(model: Model, sizes: Sizes) -> Iterator[Effect]:
