@@ -565,6 +565,7 @@ def advice(
     """Advice on a result as far as it is looked at."""
     result: Any = SimpleNamespace(
         steps=steps,
+        headlined=steps,
         ranking=ranking,
         last=last,
         parameters=parameters,

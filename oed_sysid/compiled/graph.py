@@ -460,3 +460,36 @@ def _solved(matrix: ca.SX, right: ca.SX) -> ca.SX:
         # definite, so that no pivot is sought.
         return ca.ldl_solve(right, *ca.ldl(ca.sparsify(matrix), False))
     return ca.solve(matrix, right)
+
+
+def ways(model: Model) -> dict[str, bytes]:
+    """How every actuator signal acts: in which equations, by which states and free parameters.
+
+    The same for twin propellers, whatever they are called: neither has a coefficient of its own
+    that is estimated.
+
+    Parameters
+    ----------
+    model : Model
+
+    Returns
+    -------
+    dict
+        What is the same for signals that act alike, by signal.
+    """
+    if not model.inputs:
+        return {}
+    graph = build(model)
+    x, rate, drive, p, t = graph.balance.sx_in()
+    slopes = ca.jacobian(graph.balance(x, rate, drive, p, t), drive)
+    by = ca.vertcat(x, p[list(graph.free_indices)])
+    held = ca.jacobian_sparsity(ca.vec(ca.densify(slopes)), by)
+    there, held = (np.array(ca.DM(where, 1.0)) != 0 for where in (slopes.sparsity(), held))
+    each = np.split(held, there.shape[1])  # rows run through the equations of one after another
+    free = set(model.free_names)
+    return {
+        signal: there[:, k].tobytes()
+        + each[k].tobytes()
+        + " ".join(sorted(names(text) & free)).encode()
+        for k, (signal, text) in enumerate(model.actuator_signals.items())
+    }

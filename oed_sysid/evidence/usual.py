@@ -13,10 +13,9 @@ from dataclasses import replace
 from math import ceil, prod
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from oed_sysid.compiled.graph import build
+from oed_sysid.compiled.graph import ways
 from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
@@ -517,7 +516,7 @@ def _commands(model: Model, sizes: Sizes) -> Iterator[Effect]:
         for signal, unit in commanded(model).items()
         if sizes.swing.get(signal, 0.0) > 0 and unit != FLOW_UNIT and not signal.startswith(FLOWS)
     }
-    way = _ways(model)
+    way = ways(model)
     alike: dict[tuple[str, bytes], list[str]] = {}
     for signal, unit in units.items():
         alike.setdefault((unit, way[signal]), []).append(signal)
@@ -532,30 +531,6 @@ def _commands(model: Model, sizes: Sizes) -> Iterator[Effect]:
     for (unit, _), twins in alike.items():
         if len(twins) > 1:
             yield from _moved(twins, unit, sizes)
-
-
-def _ways(model: Model) -> dict[str, bytes]:
-    """How every actuator signal acts: in which equations, by which states and free parameters.
-
-    The same for twin propellers, whatever they are called: neither has a coefficient of its own
-    that is estimated.
-    """
-    if not model.inputs:
-        return {}
-    graph = build(model)
-    x, rate, drive, p, t = graph.balance.sx_in()
-    slopes = ca.jacobian(graph.balance(x, rate, drive, p, t), drive)
-    by = ca.vertcat(x, p[list(graph.free_indices)])
-    held = ca.jacobian_sparsity(ca.vec(ca.densify(slopes)), by)
-    there, held = (np.array(ca.DM(where, 1.0)) != 0 for where in (slopes.sparsity(), held))
-    each = np.split(held, there.shape[1])  # rows run through the equations of one after another
-    free = set(model.free_names)
-    return {
-        signal: there[:, k].tobytes()
-        + each[k].tobytes()
-        + " ".join(sorted(expressions.names(text) & free)).encode()
-        for k, (signal, text) in enumerate(model.actuator_signals.items())
-    }
 
 
 def _moved(moved: Sequence[str], unit: str, sizes: Sizes) -> list[Effect]:
