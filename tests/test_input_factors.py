@@ -8,7 +8,19 @@ import numpy as np
 import pytest
 from marks import slow
 
-from oed_sysid import PRBS, Dataset, Experiment, Input, Model, MultipleShooting, Parameter, improve
+from oed_sysid import (
+    PRBS,
+    Dataset,
+    Experiment,
+    Input,
+    Model,
+    MultipleShooting,
+    Output,
+    Parameter,
+    Piecewise,
+    State,
+    improve,
+)
 from oed_sysid.evidence.check import check, with_estimates
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.input_factors import input_factors
@@ -66,7 +78,7 @@ def test_a_reversed_rudder_that_other_coefficients_make_up_for_is_named(
     data = records(seed, -1.0)
     fit = MultipleShooting().fit(boat(BEGUN, 28.0, lower=lower), data)
     (said,) = input_factors(fit, fit.nominal)
-    assert (said.channel.name, said.factor) == ("rudder", -1.0)
+    assert (said.reading.names, said.reading.factor) == (("rudder",), -1.0)
     assert "L_rudder" in said.values
     assert said.held == (() if lower < 0.0 else ("L_rudder",))
     assert [(c.kind, c.signal) for c in fit.concerns if c.kind == "input_factor"] == [
@@ -107,3 +119,65 @@ def test_nothing_is_searched_for_in_records_of_a_reversed_rudder() -> None:
     assert not found.steps
     assert found.remains.kind == "log suspect"
     assert [f.signals for f in found.log.serious if f.kind == "input_factor"] == [("rudder",)]
+
+
+TWIN = {"k": 4.0, "b": 0.9, "L_rudders": 12.0, "d_u": 60.0, "d_r": 900.0}
+
+
+def twin(values: dict[str, float], priors: dict[str, float | None] | None = None) -> Model:
+    """A boat of two screws and two rudders with shared coefficients and no declared priors."""
+    push, turn = "(n_p*abs(n_p) + n_s*abs(n_s))", "(n_p*abs(n_p) - n_s*abs(n_s))"
+    units = {"k": "kg m", "b": "m", "L_rudders": "kg", "d_u": "kg/m", "d_r": "kg m^2/s"}
+    return Model(
+        "twin",
+        states=(State("u", "m/s", scale=2.0), State("r", "rad/s", scale=0.1)),
+        inputs=(Input("n_p", "1/s"), Input("n_s", "1/s"), Input("d_p", "rad"), Input("d_s", "rad")),
+        outputs=(Output("u", "m/s", noise_std=0.03), Output("r", "rad/s", noise_std=0.003)),
+        kinematics={
+            "u": f"(k*{push} - d_u*u*abs(u))/1100",
+            "r": f"(k*b*{turn} + L_rudders*u**2*(d_p + d_s) - d_r*r)/2200",
+        },
+        parameters=tuple(
+            Parameter(name, value, units[name], prior_std=(priors or {}).get(name))
+            for name, value in values.items()
+        ),
+        step=0.2,
+    )
+
+
+def twin_records(seed: int) -> Dataset:
+    """Two runs of steps of all four commands."""
+    rng, found, names = np.random.default_rng(seed), [], ("n_p", "n_s", "d_p", "d_s")
+    times = np.arange(0.0, 80.0, 8.0)
+    for name in ("one", "two"):
+        steps = rng.uniform(-1.0, 1.0, (times.size, 4))
+        inputs = [7.0, 7.0, 0.0, 0.0] + steps * [4.0, 4.0, 0.4, 0.4]
+        inputs[:, 3] = inputs[:, 2] + 0.1 * steps[:, 3]
+        commands = [Piecewise(n, times, row) for n, row in zip(names, inputs.T, strict=True)]
+        run = Experiment(name, commands, duration=80.0, sample_time=0.2, initial={"u": 1.5})
+        found.append(simulate(twin(TWIN), run, rng=rng))
+    return Dataset(found)
+
+
+LOGGED = {
+    "right": ([0, 1, 2, 3], [1.0, 1.0, 1.0, 1.0], ()),
+    "exchanged": ([1, 0, 2, 3], [1.0, 1.0, 1.0, 1.0], ("n_p", "n_s")),
+    "both reversed": ([0, 1, 2, 3], [1.0, 1.0, -1.0, -1.0], ("d_p", "d_s")),
+    "both in degrees": ([0, 1, 2, 3], [1.0, 1.0, *[180.0 / np.pi] * 2], ("d_p", "d_s")),
+}
+
+
+@pytest.mark.parametrize("logged", LOGGED)
+def test_inputs_that_share_coefficients_are_read_together(logged: str) -> None:
+    """What two inputs do is told by one coefficient: neither alone explains its sign or size."""
+    order, factors, expected = LOGGED[logged]
+    data = Dataset([replace(r, inputs=r.inputs[:, order] * factors) for r in twin_records(1)])
+    begun = {"k": 4.4, "b": 0.8, "L_rudders": 10.0, "d_u": 70.0, "d_r": 800.0}
+    fit = MultipleShooting().fit(twin(begun), data)
+    assert fit.status.ok
+    assert [one.reading.names for one in input_factors(fit, fit.nominal)] == [expected][
+        : bool(expected)
+    ]
+    told = twin(begun, {name: 0.25 * value for name, value in begun.items()})
+    log = check(data, told)
+    assert [set(one.signals) for one in log.serious] == [{*expected}][: bool(expected)]

@@ -316,8 +316,8 @@ def with_estimates(
     found = {one.name for one in findings}
     findings += [one for one in _read_as(log, fit) if one.name not in found]
     for one in input_factors(fit, begun):
-        row = {"says": one.text, "name": one.channel.name}
-        findings.append(words.said("input_factor", (one.channel.name,), log.records, row))
+        row = {"says": one.text, "name": " and ".join(one.reading.names)}
+        findings.append(words.said("input_factor", one.reading.names, log.records, row))
     findings += [*_departed(log, fit), *_zeros(log, fit), *_far(fit, log.records)]
     findings += [*scaled_inputs(fit), *between_runs(fit)]
     return replace(log, findings=tuple(_ordered(findings)))

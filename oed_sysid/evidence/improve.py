@@ -185,7 +185,8 @@ def _left_aside(study: Study, candidates: Sequence[Effect]) -> Iterator[str]:
 def _read_wrong(study: Study, base: FilteredSolution) -> list[str]:
     """A note where inputs act otherwise than the start values of the nominal model say."""
     fit = study.result(study.polished(base), "improve, disturbance forces")
-    names = " and ".join(one.channel.name for one in input_factors(fit, study.base.values))
+    strange = input_factors(fit, study.base.values)
+    names = " and ".join(name for one in strange for name in one.reading.names)
     return [say("search", "inputs", names=names)] if names else []
 
 

@@ -32,7 +32,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from itertools import combinations, product
+from itertools import combinations, groupby, product
 
 import numpy as np
 from scipy.fft import idct
@@ -495,8 +495,11 @@ def _believed(p: Parameter) -> float:
 
 
 def _readings(moving: Mapping[str, str]) -> Iterator[Found]:
-    """Signs and units of each input that moves, and pairs that may be swapped."""
-    yield from plain_readings(((name,) for name in moving), moving)
+    """Signs and units of moving inputs, alone and all of a unit, and pairs that may be swapped."""
+    ordered = sorted(moving, key=moving.__getitem__)
+    alike = [tuple(some) for _, some in groupby(ordered, key=moving.__getitem__)]
+    together = (some for some in alike if len(some) > 1)
+    yield from plain_readings([*((name,) for name in moving), *together], moving)
     for pair in combinations(moving, 2):
         if moving[pair[0]] == moving[pair[1]]:
             yield Found(Candidate("swap", pair))

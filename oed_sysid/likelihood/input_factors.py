@@ -1,30 +1,32 @@
-r"""Inputs that act reversed, or in another unit, than the start values say.
+r"""Inputs that act reversed, exchanged or in another unit than the start values say.
 
 An input of the other sign is a coefficient of the other sign: the fit converges, its residuals are
 noise, and every controller designed with it steers to the wrong side. Kinematics cannot see it, but
 the start values :math:`p_0` of the nominal model can. Where an estimate is strange against them,
 clearly of the other sign or of the size that another unit gives, or held at a bound that lies on
-its way there, the rival reading of each input is estimated too: the same likelihood, kinds of noise
-and start values, and :math:`k` times that input,
+its way there, the rival reading of each input, of all of a unit and of each two that may have
+changed places is estimated too: the same likelihood, kinds of noise and start values, and inputs
+:math:`k\,d`,
 
 .. math:: D = 2\min_p L(k\,d, p) - 2 \min_p L(d, p), \qquad L = -\log \text{likelihood},
 
-with :math:`k = -1`, or a ratio of units. The rival is named where no estimate is strange that was
-not before, fewer are, and the records do not speak against it: :math:`D < c^2` where nothing held
-the estimates, which then are others for the same motion, and :math:`-D > C^2` where a bound did (or
-the fit did not converge), in standard errors :math:`c, C`, of residuals counted by their misfit and
-correlation. So one start value of the wrong sign among several right ones says nothing: with the
-input reversed it is the others that are strange.
+with :math:`k = -1`, a ratio of units, or the exchange of two columns. The rival is named where no
+estimate is strange that was not before, fewer are, and the records do not speak against it:
+:math:`D < c^2` where nothing held the estimates, which then are others for the same motion, and
+:math:`-D > C^2` where a bound did (or the fit did not converge), in standard errors :math:`c, C`,
+of residuals counted by their misfit and correlation. So one start value of the wrong sign among
+several right ones says nothing: with the input reversed it is the others that are strange.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations, groupby
 
 import numpy as np
 
-from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import OedSysidError
 from oed_sysid.likelihood.departures import CLEARLY, TWOFOLD
 from oed_sysid.likelihood.estimate import Estimate, by_name, once_a_fit
@@ -46,27 +48,65 @@ UNITS: dict[str, tuple[tuple[float, str], ...]] = {
 
 
 @dataclass(frozen=True)
-class InputFactor:
-    """An input that acts otherwise than the start values say.
+class Reading:
+    """Another reading of what a log holds of some inputs.
 
     Attributes
     ----------
-    channel : Input
+    channels : tuple of Input
     factor : float
-        The true input over the logged one: -1, or a ratio of units.
+        The true inputs over the logged ones: -1, or a ratio of units; 1 where two are exchanged.
     unit : str
-        What the log seems to hold; empty for a sign.
+        What the log seems to hold; empty for a sign, and for columns that are exchanged.
+    """
+
+    channels: tuple[Input, ...]
+    factor: float
+    unit: str = ""
+
+    @property
+    def is_swap(self) -> bool:
+        """Whether each of two inputs is in the column of the other."""
+        return self.factor == 1.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+        return tuple(one.name for one in self.channels)
+
+    @property
+    def strange(self) -> float:
+        """Factor of an estimate that makes up for it; that of a sign where two are exchanged.
+
+        What two inputs do alike needs no other estimate, and what they do against one another does.
+        """
+        return -1.0 if self.is_swap else self.factor
+
+    def of(self, record: Record) -> Record:
+        """A record with its inputs so read."""
+        own = [record.channels.input_names.index(name) for name in self.names]
+        inputs = record.inputs.copy()
+        inputs[:, own] = self.factor * record.inputs[:, own[::-1] if self.is_swap else own]
+        return replace(record, inputs=inputs)
+
+
+@dataclass(frozen=True)
+class InputFactor:
+    """Inputs that act otherwise than the start values say.
+
+    Attributes
+    ----------
+    reading : Reading
+        How they would act as expected.
     values : mapping of str to (float, float)
         Parameters concerned: what was found, and the start value.
     held : tuple of str
         Those of them that a bound kept from the other sign or size.
     gain : float
-        Twice the log-likelihood ratio of the input so read to the input as logged.
+        Twice the log-likelihood ratio of the inputs so read to the inputs as logged.
     """
 
-    channel: Input
-    factor: float
-    unit: str
+    reading: Reading
     values: Mapping[str, tuple[float, float]]
     held: tuple[str, ...] = ()
     gain: float = 0.0
@@ -74,22 +114,33 @@ class InputFactor:
     @property
     def text(self) -> str:
         """What was expected, what was found, what to do."""
-        name, unit = self.channel.name, self.channel.unit
         told = ", ".join(
             f"{key} is {a:.3g}{', at its bound,' if key in self.held else ''} for {b:.3g}"
             for key, (a, b) in self.values.items()
         )
         as_well = "the same fit" if not self.held else f"a fit likelier by 2ΔlnL = {self.gain:.0f}"
-        if not self.unit:
-            line = f'Input("{name}", "{unit}", sign={-self.channel.sign:g})'
+        one, names = self.reading, " and ".join(self.reading.names)
+        s = "" if len(one.names) > 1 else "s"
+        if one.is_swap:
+            pairs = zip(one.channels, reversed(one.names), strict=True)
+            lines = (f'Input("{c.name}", "{c.unit}", column="{other}")' for c, other in pairs)
             return (
-                f"Input {name} acts with the sign reversed against the start values ({told}). With "
-                f"it reversed {as_well} has the signs that were expected. If the log counts it "
-                f"the other way, write {line}; if the start values are wrong, change their signs."
+                f"Inputs {names} act in each other's place against the start values ({told}). "
+                f"Exchanged, {as_well} has the signs that were expected. If they are in each "
+                f"other's column, write {' and '.join(lines)}; if the start values are wrong, "
+                "change their signs."
+            )
+        if not one.unit:
+            lines = (f'Input("{c.name}", "{c.unit}", sign={-c.sign:g})' for c in one.channels)
+            return (
+                f"Input {names} act{s} with the sign reversed against the start values ({told}). "
+                f"With it reversed {as_well} has the signs that were expected. If the log counts "
+                f"it the other way, write {' and '.join(lines)}; if the start values are wrong, "
+                "change their signs."
             )
         return (
-            f"Input {name} acts {abs(self.factor):.3g} times as strongly as the start values say "
-            f"({told}): its log seems to hold {self.unit}, and {as_well} has the sizes that were "
+            f"Input {names} act{s} {abs(one.factor):.3g} times as strongly as the start values say "
+            f"({told}): the log seems to hold {one.unit}, and {as_well} has the sizes that were "
             "expected. Check the unit in its header; if that is right, change the start values."
         )
 
@@ -157,44 +208,71 @@ def input_factors(fit: Estimate, nominal: Mapping[str, float]) -> tuple[InputFac
     if not np.isfinite(fit.cost):
         return ()
     found = _Values(fit.model, fit.values, fit.std_errors, nominal)
-    return tuple(
-        one
+    moving = [
+        channel
         for column, channel in enumerate(fit.model.inputs)
         if np.ptp(np.concatenate([record.inputs[:, column] for record in fit.dataset]))
-        for one in _otherwise(fit, found, column, channel)
-    )
+    ]
+    return tuple(_otherwise(fit, found, moving))
 
 
-def _otherwise(fit: Estimate, found: _Values, column: int, channel: Input) -> Iterator[InputFactor]:
-    """How an input acts other than expected: reversed, or in another unit; the first that holds."""
+def _otherwise(fit: Estimate, found: _Values, moving: Sequence[Input]) -> Iterator[InputFactor]:
+    """Rivals that hold: of each input the first, of several what none of them alone explains."""
+    told = set[str]()
+    for one in _readings(moving):
+        if told.isdisjoint(one.names) and (rival := _rival(fit, found, one)):
+            told.update(one.names)
+            yield rival
+
+
+def _readings(moving: Sequence[Input]) -> Iterator[Reading]:
+    """Other readings of inputs: of each its sign and unit, of two their columns, then of all."""
+    ordered = sorted(moving, key=lambda one: one.unit)
+    alike = [tuple(some) for _, some in groupby(ordered, key=lambda one: one.unit)]
+    groups = [(one,) for one in moving]
+    for group in groups:
+        yield from _factors(group)
+    for some in alike:
+        yield from (Reading(pair, 1.0) for pair in combinations(some, 2))
+    for some in alike:
+        if len(some) > 1:
+            yield from _factors(some)
+
+
+def _factors(group: tuple[Input, ...]) -> Iterator[Reading]:
+    """The other sign and the other units of inputs of one unit."""
+    yield Reading(group, -1.0)
+    yield from (Reading(group, factor, unit) for factor, unit in UNITS.get(group[0].unit, ()))
+
+
+def _rival(fit: Estimate, found: _Values, one: Reading) -> InputFactor | None:
+    """A reading of inputs with which fewer estimates are strange, if the records allow it."""
     # What is strange by its value stays so in the rival, where errors may call it clear.
     certain = replace(found, errors=dict.fromkeys(found.errors, 0.0))
-    for factor, unit in ((-1.0, ""), *UNITS.get(channel.unit, ())):
-        strange = found.strange(factor)
-        told = _reread(fit, found.nominal, column, factor) if strange else None
-        if told is None:
-            continue
-        rival, gain = told
-        moved = [n for n in fit.names if n in strange and rival.expected(n, factor)]
-        held = tuple(name for name in moved if found.held(name, factor))
-        needed = BEYOND**2 if held or not fit.status.ok else -(CLEARLY**2)
-        if moved and gain > needed and rival.strange(factor) <= certain.strange(factor) - {*moved}:
-            values = {name: (fit.values[name], found.nominal[name]) for name in moved}
-            yield InputFactor(channel, factor, unit, values, held, gain)
-            return
+    strange = found.strange(one.strange)
+    told = _reread(fit, found.nominal, one) if strange else None
+    if told is None:
+        return None
+    rival, gain = told
+    moved = [n for n in fit.names if n in strange and rival.expected(n, one.strange)]
+    held = tuple(name for name in moved if found.held(name, one.strange))
+    needed = BEYOND**2 if held or not fit.status.ok else -(CLEARLY**2)
+    left = certain.strange(one.strange) - {*moved}
+    if not moved or gain <= needed or not rival.strange(one.strange) <= left:
+        return None
+    values = {name: (fit.values[name], found.nominal[name]) for name in moved}
+    return InputFactor(one, values, held, gain)
 
 
 def _reread(
-    fit: Estimate, nominal: Mapping[str, float], column: int, factor: float
+    fit: Estimate, nominal: Mapping[str, float], reading: Reading
 ) -> tuple[_Values, float] | None:
-    """The fit with an input times a factor, and how much likelier it is; None where it fails.
+    """The fit with inputs read otherwise, and how much likelier it is; None where it fails.
 
     Levels of the noise are estimated for both: under feedback those of the wrong reading, which
     hold what it does not explain, would bend the estimates of the right one.
     """
-    scales = np.ones(len(fit.model.inputs))
-    scales[column] = factor
-    reread = Dataset(tuple(replace(one, inputs=one.inputs * scales) for one in fit.dataset))
+    reread = Dataset(tuple(map(reading.of, fit.dataset)))
     begun = {name: nominal.get(name, value) for name, value in fit.values.items()}
     other = replace(fit, model=fit.model.with_values(begun), dataset=reread)
     try:

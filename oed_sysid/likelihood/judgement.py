@@ -566,7 +566,8 @@ def _input_factors(fit: Estimate) -> Iterator[Found]:
     """Inputs that act reversed, or in another unit, than the start values say."""
     if fit.nominal:
         for one in input_factors(fit, fit.nominal):
-            yield Found(one.factor, one.channel.name, facts={"text": one.text})
+            names = " and ".join(one.reading.names)
+            yield Found(one.reading.factor, names, facts={"text": one.text})
 
 
 # -- the trajectory ------------------------------------------------------------------
