@@ -181,3 +181,23 @@ def test_inputs_that_share_coefficients_are_read_together(logged: str) -> None:
     told = twin(begun, {name: 0.25 * value for name, value in begun.items()})
     log = check(data, told)
     assert [set(one.signals) for one in log.serious] == [{*expected}][: bool(expected)]
+
+
+@pytest.mark.parametrize("late", [0, 3])
+def test_delays_of_inputs_are_told_without_priors(late: int) -> None:
+    """No coefficient makes a vehicle move before its command; signs are left open."""
+    data = twin_records(2)
+    moved = [np.vstack([r.inputs[:1].repeat(late, axis=0), r.inputs[: r.n_samples - late]])
+             for r in data]  # fmt: skip
+    both = [
+        np.column_stack([new[:, :2], r.inputs[:, 2:]]) for new, r in zip(moved, data, strict=True)
+    ]
+    logged = Dataset([replace(r, inputs=new) for r, new in zip(data, both, strict=True)])
+    begun = {"k": 2.0, "b": 1.5, "L_rudders": 25.0, "d_u": 30.0, "d_r": 1800.0}
+    found = check(logged, twin(begun))
+    expected = [("delay", (name,)) for name in ("n_p", "n_s") if late]
+    assert sorted((one.kind, one.signals) for one in found.serious) == expected
+    assert all(one.size == pytest.approx(0.2 * late, abs=0.03) for one in found.serious)
+    states = {one.fault: one.state for one in found.judged if one.signal == "n_p"}
+    assert states["sign"] == "not tested"
+    assert states["delay"] == ("found" if late else "tested")

@@ -10,8 +10,8 @@ parameters: constants whose errors are as large as their declared priors, a quar
 errors and a constant force in each record are in every regression, so that an input is at fault
 only by what they leave; physics that the model lacks is autocorrelated noise of the contrast and
 widens all intervals alike, a sea those of what acts in its band. Asked are the sign, unit, column,
-offset, scale and delay of every input that moves. Without a declared prior none of this can be
-told, because an input of the other sign is a coefficient of the other sign.
+offset, scale and delay of every input that moves. Where no prior is declared only its times are
+asked, and samples that were lost: an input of the other sign is a coefficient of the other sign.
 
 Between runs the fit itself is asked (:func:`between_runs`), without errors in the regressors: with
 information :math:`H_i` and score :math:`g_i` of record *i* about the shared parameters at the
@@ -79,6 +79,9 @@ from oed_sysid.runtime.constants import NEGLIGIBLE
 
 # What is asked of an input.
 ASKED = ("sign", "unit", "bias", "scale", "delay", "step", "lost")
+# Of these, what no coefficient of another value does as well.
+UNLIKE_COEFFICIENTS = ("delay", "step", "lost")
+NO_PRIORS = SAYS["log"]["no priors"]
 # Exact coincidences that no measured input has; at a limit an actuator stays rightly.
 REPEATED = ("held", "frozen", "dropouts")
 
@@ -175,7 +178,8 @@ def input_findings(
     traces, derived = told
     traces = [trace.blank(marked(faults, trace.name, REPEATED)) for trace in traces]
     unlogged, traces = _unlogged(traces, _nominal(model), model)
-    question = _question(traces, model, timed=not derived)
+    known = any(p.prior_std is not None for p in model.free_parameters)
+    question = _question(traces, model, timed=not derived, known=known)
     found, ended = diagnosed(traces, question)
     log = Log(dataset.channels, (), dataset.names, {t.name: t.ends for t in traces})
     # Forces that set in are what the vehicle met: rivals of a fault, and none themselves.
@@ -185,14 +189,16 @@ def input_findings(
     # What the motion says of an input holds what its range says.
     named = set().union(*(one.signals for one in findings))
     findings += [one for one in beyond if named.isdisjoint(one.signals)]
-    untimed = say("log", "untimed", names=", ".join(derived))
+    whys = {} if known else dict.fromkeys({*ASKED}.difference(UNLIKE_COEFFICIENTS), NO_PRIORS)
+    if derived:
+        whys |= dict.fromkeys(("delay", "step"), say("log", "untimed", names=", ".join(derived)))
     rows = [
-        Judged(kind, one.name, "not tested", untimed)
-        if derived and kind in ("delay", "step")
+        Judged(kind, one.name, "not tested", whys[kind])
+        if kind in whys
         else judged_row(kind, one.name, one.unit, ended)
         for one, kind in asked
     ]
-    return [*repeated, *findings], rows, ""
+    return [*repeated, *findings], rows, "" if known else f"Signs and units of inputs: {NO_PRIORS}."
 
 
 def _repeated(dataset: Dataset, model: Model) -> tuple[list[Fault], list[Trace]]:
@@ -339,8 +345,6 @@ def _traces(
 
     With the names of states that no sensor shows in some record.
     """
-    if all(p.prior_std is None for p in model.free_parameters):
-        return SAYS["log"]["no priors"]
     known = [fix for fix in fixes if fix.kind in ORDER]
     with suppress(OedSysidError):
         mended = corrected(dataset, known) if known else dataset
@@ -417,10 +421,11 @@ def smooth(name: str) -> str:
     return f"{name} smoothed"
 
 
-def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question:
+def _question(traces: Sequence[Trace], model: Model, *, timed: bool, known: bool) -> Question:
     """What is asked of inputs, with errors of the parameters and constant forces beside it.
 
-    Delays, lags and jumps of a zero where the states are ``timed``.
+    Delays, lags and jumps of a zero where the states are ``timed``; what coefficients do as well
+    where they are ``known``.
     """
     equations = _nominal(model)
     length = max(end - start for start, end in (t.ends for t in traces))
@@ -430,9 +435,9 @@ def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question
     for name in moving:
         size = max(float(np.nanmax(np.abs(t.values[name]))) for t in traces)
         bias = Candidate("bias", (name,), moving[name], 0.3 * size, NEGLIGIBLE * size)
-        common.append(bias)
         lost = Candidate("lost", (name,), "1", 1.0, 0.5, rare=RARER)
-        common.append(replace(lost, material=NEGLIGIBLE, rare=0.0))
+        if known:
+            common += [bias, replace(lost, material=NEGLIGIBLE, rare=0.0)]
         local.append(lost)
         if timed:
             common.append(Candidate("delay", (name,), "s", late, traces[0].step))
@@ -447,7 +452,8 @@ def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question
         local.append(Candidate("drift", (name,), "", usual, NEGLIGIBLE * usual))
     alone = tuple(single) if len(traces) > 1 else ()
     given = tuple(_given(traces, equations, model, length))
-    return Question(equations, tuple(common), alone, tuple(local), (*_readings(moving),), given)
+    readings = tuple(_readings(moving)) if known else ()
+    return Question(equations, tuple(common), alone, tuple(local), readings, given)
 
 
 def _nominal(model: Model) -> tuple[Nominal, ...]:
