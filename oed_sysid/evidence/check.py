@@ -64,7 +64,7 @@ from oed_sysid.evidence.screens import Fault, jitter, marked, screened
 from oed_sysid.evidence.traces import Trace, units_of
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.likelihood.between_records import WORTH_TELLING
-from oed_sysid.likelihood.departures import ACTING
+from oed_sysid.likelihood.departures import ACTING, MOMENTS
 from oed_sysid.likelihood.estimate import Departure
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.input_factors import input_factors
@@ -323,6 +323,13 @@ def with_estimates(
     return replace(log, findings=tuple(_ordered(findings)))
 
 
+def with_departure(log: LogCheck, fit: Fit) -> LogCheck:
+    """A check with the departure that a fit names, in place of what was left of it."""
+    new = [*_departed(replace(log, findings=()), fit)]
+    left = [one for one in log.findings if one.name not in {other.name for other in new}]
+    return replace(log, findings=tuple(_ordered([*left, *new])))
+
+
 def _read_as(log: LogCheck, fit: Fit) -> Iterator[Finding]:
     """Signs and units that sensors of the model stand for: no sensor errs by such a factor."""
     channels = fit.dataset.channels
@@ -435,22 +442,32 @@ def _far(fit: Fit, records: tuple[str, ...]) -> Iterator[Finding]:
 
 
 def _departing(fit: Fit) -> Departure | None:
-    """The departure of sensors that a fit names; an actuator that lags, or is off, is none."""
+    """The departure of a log that a fit names; an actuator that lags, or is off, is none.
+
+    One that acts before its command is one: the command was logged late.
+    """
+    asked = fit.process_noise
     ended = fit.status.ok or fit.status.code == "degenerate"
-    best = departure_of(fit) if ended else None
-    return None if best is None or best.kind in ACTING else best
+    best = departure_of(fit) if ended or (asked and asked.departure_likelier) else None
+    if best is None:
+        return None
+    alike = (best.kind, *best.rivals) if best.kind in MOMENTS else (best.kind,)
+    acts = any(one.strip("()").endswith(ACTING) for one in alike)
+    early = best.size < 0.0 and best.kind != "acts off"
+    return None if acts and not early else best
 
 
 def _departed(log: LogCheck, fit: Fit) -> Iterator[Finding]:
     """What departs by a fit, unless the equations between signals have said so."""
     if (best := _departing(fit)) is None:
         return
-    column = fit.model.output_names.index(best.signal)
+    outputs = dict(zip(fit.model.output_names, fit.noise.sensors, strict=True))
+    units = {one.name: one.unit for one in fit.model.outputs}
     late = MATERIAL * min(record.sample_time for record in fit.dataset)
     # Units, and least sizes that matter: those of the equations between signals.
     kinds = {
         "delay": ("s", late),
-        "bias": (fit.model.outputs[column].unit, MATERIAL * float(fit.noise.sensors[column])),
+        "bias": (units.get(best.signal, ""), MATERIAL * float(outputs.get(best.signal, 0.0))),
         "scale": ("1", NEGLIGIBLE),
         "clock": ("1", late / max(record.duration for record in fit.dataset)),
         "lever": ("m", 0.0),

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, check_disjoint, together
-from oed_sysid.evidence.check import LogCheck, check, with_estimates
+from oed_sysid.evidence.check import LogCheck, check, with_departure, with_estimates
 from oed_sysid.evidence.corrections import as_measured
 from oed_sysid.evidence.improvement import Improvement, Step, Yardstick, proposed_terms
 from oed_sysid.evidence.locate import Located, likeliest, locate
@@ -27,6 +27,8 @@ from oed_sysid.evidence.study import RISE, Study, worse
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.archive import encode
 from oed_sysid.likelihood.between_records import WORTH_TELLING
+from oed_sysid.likelihood.departures import MOMENTS
+from oed_sysid.likelihood.estimate import ProcessNoiseTest
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.input_factors import input_factors
@@ -225,13 +227,27 @@ def _result(
         for at, fit, own in zip(state.added, fits[1:], rms, strict=True)
     )
     if log is not None:
+        known = log.suspect
         log = with_estimates(log, fits[-1], state.effects, study.base.values, logs)
+        log = log if known else _with_times(log, study, fits)
     remains = _whole(end, fits[-1], log)
     return Improvement(
         fits[0], base_rms, steps, end.first, location, remains, yardstick,
         proposed=proposed_terms(end.proposals, steps, state.replaced), notes=tuple(notes), log=log,
         last=end.last if steps else None, decisions=state.decisions,
     )  # fmt: skip
+
+
+def _with_times(log: LogCheck, study: Study, fits: Sequence[Fit]) -> LogCheck:
+    """The check of a log with a signal that is late or early, where that explains more than claims.
+
+    No effect moves what was logged in time.
+    """
+    one, told = study.departing()
+    if one is None or one.kind not in MOMENTS or told <= fits[-1].log_likelihood:
+        return log
+    asked = ProcessNoiseTest(0.0, departure=one, departure_likelier=True)
+    return with_departure(log, replace(fits[0], process_noise=asked))
 
 
 def _whole(end: Ended, fit: Fit, log: LogCheck | None) -> Remains:

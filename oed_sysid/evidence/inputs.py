@@ -178,8 +178,8 @@ def input_findings(
     traces, derived = told
     traces = [trace.blank(marked(faults, trace.name, REPEATED)) for trace in traces]
     unlogged, traces = _unlogged(traces, _nominal(model), model)
-    known = any(p.prior_std is not None for p in model.free_parameters)
-    question = _question(traces, model, timed=not derived, known=known)
+    known = _believed_some(model)
+    question = _question(traces, model, timed=not derived)
     found, ended = diagnosed(traces, question)
     log = Log(dataset.channels, (), dataset.names, {t.name: t.ends for t in traces})
     # Forces that set in are what the vehicle met: rivals of a fault, and none themselves.
@@ -299,7 +299,7 @@ def _left_by(changes: np.ndarray, most: float) -> float:
     if np.sum(enters) < 2 or not np.any(enters & (misfit > UNEXPLAINED * moved)):
         return 1.0
     d, g = d[enters], g[enters]
-    free = np.sum(g * d, axis=0) / np.sum(g**2, axis=0)
+    free = np.sum(g * d, axis=0) / np.maximum(np.sum(g**2, axis=0), 1e-300)
     left_over = float(np.sqrt(np.mean((d - g * free) ** 2)))
     return left_over if np.mean(free**2) < most**2 else 1.0
 
@@ -421,12 +421,13 @@ def smooth(name: str) -> str:
     return f"{name} smoothed"
 
 
-def _question(traces: Sequence[Trace], model: Model, *, timed: bool, known: bool) -> Question:
+def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question:
     """What is asked of inputs, with errors of the parameters and constant forces beside it.
 
     Delays, lags and jumps of a zero where the states are ``timed``; what coefficients do as well
-    where they are ``known``.
+    where they have priors.
     """
+    known = _believed_some(model)
     equations = _nominal(model)
     length = max(end - start for start, end in (t.ends for t in traces))
     moving = {one.name: one.unit for one in model.inputs if _moves(traces, one.name)}
@@ -491,6 +492,11 @@ def _given(
     for r, t in product(equations, traces):
         usual = float(np.nanstd(t.values[r.target])) / length + 1e-12
         yield Candidate("drift", (r.target,), "", usual, 0.0, record=t.name)
+
+
+def _believed_some(model: Model) -> bool:
+    """Whether some parameter has a declared prior."""
+    return any(p.prior_std is not None for p in model.free_parameters)
 
 
 def _believed(p: Parameter) -> float:

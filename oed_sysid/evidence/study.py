@@ -35,7 +35,7 @@ from oed_sysid.evidence.sentences import say
 from oed_sysid.likelihood.departures import smoothed_inputs
 from oed_sysid.likelihood.disturbances import Place, chosen_places, commands, disturbance
 from oed_sysid.likelihood.disturbances import places as every_place
-from oed_sysid.likelihood.estimate import Integration, once_a_fit
+from oed_sysid.likelihood.estimate import Departure, Integration, once_a_fit
 from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.filtered import Filtered, Knowledge, disturbed_model
 from oed_sysid.likelihood.fit import Fit
@@ -354,6 +354,13 @@ class Study:
     def polished(self, found: FilteredSolution) -> FilteredSolution:
         """A fit at the optimum of the filter as it is, with errors of that."""
         return self.kept(found, solved(found, 2, polish=2).finite)
+
+    def departing(self) -> tuple[Departure | None, float]:
+        """What departs from the nominal model in the training records, without process noise.
+
+        With the log-likelihood of the records without it.
+        """
+        return PLAIN.departing(_white_fit((self.base,), self.train))
 
     def result(self, found: FilteredSolution, label: str) -> Fit:
         """The fit of a model that was found and polished."""

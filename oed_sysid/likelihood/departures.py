@@ -47,6 +47,7 @@ from scipy.special import ndtri
 
 from oed_sysid.compiled.graph import build
 from oed_sysid.compiled.kernels import Kernel, Run, by_unknowns, kernel
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate
 from oed_sysid.likelihood.information import COLOUR_LIMIT
@@ -78,6 +79,8 @@ SHAPES: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
 }
 # What an input does that is late, s, or whose zero is off, in its unit.
 ACTING = ("acts late", "acts off")
+# Kinds that are a matter of time.
+MOMENTS = ("late", "slow", "acts late")
 # Axis of the body along which a receiver of positions may be away from the origin.
 LEVERS = {"ahead": "X", "to starboard": "Y", "below": "Z"}
 
@@ -317,6 +320,74 @@ def acting(record: Record, column: int, kind: str, by: float) -> Record:
     return record.with_inputs(inputs)
 
 
+def undone(fit: Estimate, records: Dataset, one: Departure) -> Dataset:
+    """Records as they would be without a departure, as the runs of a fit have it.
+
+    Outputs lose what it makes of the runs, :math:`y - (h_d - h)`, so that their noise stays what it
+    is; an input acts at its time. Where that is beyond the record it tells nothing, and the runs
+    stand in place of the outputs.
+    """
+    result, model = list[Record](), fit.model
+    for index, record in enumerate(records):
+        if one.kind in ACTING:
+            record = acting(record, model.input_names.index(one.signal), one.kind, one.size)
+        run, times = run_of(fit, index, record.inputs, kernel(model)), record.times
+        late = {"late": one.size, "acts late": one.size, "slow": one.size * (times - times[0])}
+        moment = times - late.get(one.kind, 0.0)
+        outside = ((moment < times[0]) | (moment > times[-1]))[:, None]
+        named = np.isfinite(record.outputs)
+        if one.kind not in ACTING:
+            named &= np.isin(model.output_names, one.signals)
+        added = _departed_runs(fit, index, run, one, moment)
+        outputs = np.where(outside, run.outputs, record.outputs - added)
+        result.append(record.with_outputs(np.where(named, outputs, record.outputs)))
+    return Dataset(tuple(result))
+
+
+def _departed_runs(
+    fit: Estimate, index: int, run: Run, one: Departure, moment: np.ndarray
+) -> np.ndarray:
+    """What a departure adds to a run of its own inputs, ``(n_times, n_outputs)``."""
+    times = fit.dataset[index].times
+    if one.kind in ACTING:
+        return np.zeros_like(run.outputs)
+    if one.kind in LEVERS:
+        return one.size * off_origin(fit.model, one.kind, values_of(fit, index), run.states, times)
+    if one.kind in ("late", "slow"):
+        late = [np.interp(moment, times, series) for series in run.outputs.T]
+        return np.column_stack(late) - run.outputs
+    return one.size * SHAPES[one.kind](run.outputs, times)
+
+
+def followed(
+    fit: Estimate, first: Departure, refit: Callable[[Dataset], Estimate]
+) -> tuple[Departure, float]:
+    """A departure estimated to its end, and the log-likelihood of the records without it.
+
+    Parameters
+    ----------
+    fit : Estimate
+        To white noise, of the records as they are.
+    first : Departure
+        By one step from that.
+    refit : callable
+        The fit of other records.
+    """
+    best, told, end, size = first, fit.log_likelihood + 0.5 * first.gain, fit, first.size
+    for _ in range(8):
+        again = refit(undone(end, fit.dataset, replace(first, size=size)))
+        more = estimate_departures(again) if np.isfinite(again.cost) else ()
+        step = next((d for d in more if (d.signals, d.kind) == (first.signals, first.kind)), None)
+        if step is None:
+            break
+        if again.log_likelihood > told:
+            best, told = replace(first, size=size, std=step.std), again.log_likelihood
+        if abs(step.size) < MATERIAL * step.std:
+            break
+        end, size = again, size + step.size
+    return best, told
+
+
 def smoothed_inputs(record: Record, names: Sequence[str] | None = None) -> np.ndarray:
     """Inputs ``(n_times, n_inputs)``, some by parabolas: those linear between samples by default.
 
@@ -375,9 +446,14 @@ def outputs_of(
     runner: Kernel | None = None,
 ) -> np.ndarray:
     """Outputs of one record with other inputs; what remembers begins at its own first ones."""
-    record, values, runner = fit.dataset[index], values_of(fit, index), runner or kernel(fit.model)
+    return run_of(fit, index, inputs, runner or kernel(fit.model)).outputs
+
+
+def run_of(fit: Estimate, index: int, inputs: np.ndarray, runner: Kernel) -> Run:
+    """The run of one record with other inputs; what remembers begins at its own first ones."""
+    record, values = fit.dataset[index], values_of(fit, index)
     start, _ = runner.start(fit.initial_states[index], record.inputs[0], values, record.times[0])
-    return runner.run(record.times, inputs, values, start).outputs
+    return runner.run(record.times, inputs, values, start)
 
 
 def estimate_starts(fit: Estimate) -> tuple[ActuatorStart, ...]:

@@ -17,9 +17,10 @@ from oed_sysid.likelihood.departures import (
     clear_departure,
     clear_starts,
     estimate_departures,
+    followed,
 )
 from oed_sysid.likelihood.disturbances import Place, chosen_places, commands, declared_noise
-from oed_sysid.likelihood.estimate import ProcessNoiseTest
+from oed_sysid.likelihood.estimate import Departure, ProcessNoiseTest
 from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import (
@@ -230,6 +231,37 @@ class MultipleShooting:
         """
         with one_thread():
             return self._fit(_Given(model, dataset, None, None, None))
+
+    def departing(
+        self, fit: Fit, starts: KnownStarts | None = None
+    ) -> tuple[Departure | None, float]:
+        """The departure that explains most of what a fit to white noise leaves, if one is clear.
+
+        Parameters
+        ----------
+        fit : Fit
+            To white noise.
+        starts : KnownStarts, optional
+            What is known of its start states.
+
+        Returns
+        -------
+        Departure or None
+            Where it is most of the misfit, estimated to its end.
+        float
+            Log-likelihood of the records without it.
+        """
+        one = clear_departure(fit, estimate_departures(fit))
+        if one is None:
+            return None, -np.inf
+        if one.share < 0.5:  # most of the misfit is something else
+            return one, fit.log_likelihood + 0.5 * one.gain
+        plain = replace(self, loss="square", disturbances="none", coloured="never")
+
+        def refit(records: Dataset) -> Fit:
+            return plain._fit(_Given(fit.model, records, fit, None, starts))
+
+        return followed(fit, one, refit)
 
     def _fit(self, given: _Given) -> Fit:
         """The fit with process noise where it acts; by IPOPT from that without constraints."""
@@ -445,13 +477,12 @@ class MultipleShooting:
         own = with_levels(found.model, found.noise)
         asked = ProcessNoiseTest(test.gain)
         if fit.names:  # departures of signals and starts of actuators, which the forces absorb
-            departure = clear_departure(fit, estimate_departures(fit))
-            gain = 0.0 if departure is None else 0.5 * departure.gain
+            departure, told = self.departing(fit, task.shooting.known_starts)
             asked = ProcessNoiseTest(
                 test.gain,
                 departure=departure,
                 actuator_starts=clear_starts(fit),
-                departure_likelier=fit.log_likelihood + gain > found.log_likelihood,
+                departure_likelier=told > found.log_likelihood,
             )
         return fit, replace(found, process_noise=asked, model=own)
 
