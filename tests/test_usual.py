@@ -632,3 +632,47 @@ def test_usual_candidates_are_not_made_of_a_towing_carriage() -> None:
     """Without candidates a search says what to do."""
     with pytest.raises(DataError, match="candidates"):
         improve(SORTED.model, Dataset(SORTED.dataset.records))
+
+
+def steered(seed: int, name: str) -> Record:
+    """A boat whose bow thruster loses a fifth of its moment for every m/s, by small Euler steps."""
+    rng, step, count = np.random.default_rng(seed), 0.2, 500
+    thrust = np.repeat(rng.uniform(50.0, 500.0, 10), 50)
+    bow = np.repeat(rng.uniform(-10.0, 10.0, 25), 20)
+    u, r, path = 1.0, 0.0, []
+    for push, turn in zip(thrust, bow, strict=True):
+        path.append((u, r))
+        for _ in range(20):
+            u += 0.01 * (push - 66.0 * u * abs(u)) / 1100.0
+            r += 0.01 * (36.0 * turn * (1.0 - 0.2 * u) - 1000.0 * r) / 2200.0
+    outputs = np.array(path) + rng.normal(size=(count, 2)) * [0.03, 0.003]
+    inputs = np.column_stack([thrust, bow])
+    return Record(name, step * np.arange(count), inputs, outputs, BOAT.channels)
+
+
+BOAT = Model(
+    "boat with a bow thruster",
+    states=(State("u", "m/s", scale=2.0), State("r", "rad/s", scale=0.1)),
+    inputs=(Input("thrust", "N"), Input("n_bow", "1/s")),
+    outputs=(Output("u", "m/s", noise_std=0.03), Output("r", "rad/s", noise_std=0.003)),
+    kinematics={
+        "u": "(thrust - d_u*u*abs(u))/1100",
+        "r": "(b*n_bow - d_r*r)/2200",
+    },
+    parameters=(
+        Parameter("d_u", 60.0, "kg/m", prior_std=15.0),
+        Parameter("b", 30.0, "N m s", prior_std=10.0),
+        Parameter("d_r", 900.0, "kg m^2/s", prior_std=300.0),
+    ),
+    step=0.2,
+)
+
+
+def test_a_thruster_that_loses_its_gain_with_speed_is_named() -> None:
+    """Without named candidates, in plain equations; its size within three standard errors."""
+    train = Dataset([steered(1, "one"), steered(2, "two")])
+    found = improve(BOAT, train, Dataset([steered(3, "three")]), terms=False)
+    assert [step.added for step in found.steps] == ["n_bow_at_speed"]
+    assert found.remains.kind == "adequate"
+    name = "E_n_bow_at_speed"
+    assert abs(found.fit.values[name] + 0.2) < 3.0 * found.fit.std_errors[name]

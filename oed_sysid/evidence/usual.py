@@ -311,7 +311,7 @@ def _named(force: Force, word: str, equation: str, text: str) -> Force:
     # Drag, lift and trims are physics, other powers terms of a series. Where the equation is the
     # rate of a state, only its own square is a drag.
     squared = kind == "quadratic" and equation not in "XYZKMN" and signal != equation
-    is_series = squared or kind in ("cubic", "hardening", "advance")
+    is_series = squared or kind in ("cubic", "hardening")
     return replace(
         force,
         name="_".join(part for part in (kind, equation, signal) if part),
@@ -339,7 +339,7 @@ def _products(
         yield f"quadratic_{signal}", (absolute, plain)
         if not model.axes or (other == state and other != "u"):
             yield f"cubic_{signal}", (plain,) * 3
-    yield from _of_commands(model, equation, forward, commands)
+    yield from _of_commands(model, equation, commands)
     angle = RIGHTING.get(equation)
     if angle in model.state_names:
         yield f"righting_{angle}", ((angle, False),)
@@ -347,16 +347,13 @@ def _products(
 
 
 def _of_commands(
-    model: Model, equation: str, forward: tuple[str, bool], commands: dict[str, str]
+    model: Model, equation: str, commands: dict[str, str]
 ) -> Iterator[tuple[str, Factors]]:
     """Word and factors of every product with a command."""
-    surges = "u" in model.axes.values()
     for signal, unit in commands.items():
         plain = (signal, False)
         if equation == "X" and unit == "rad":
             yield f"drag_{signal}", (plain, plain)
-        elif equation == "X" and surges and unit != FLOW_UNIT:
-            yield f"advance_{signal}", (forward, plain)  # thrust falls with the speed of advance
         elif not model.axes:
             yield f"quadratic_{signal}", ((signal, True), plain)
 
@@ -516,7 +513,7 @@ def _commands(model: Model, sizes: Sizes) -> Iterator[Effect]:
         for signal, unit in commanded(model).items()
         if sizes.swing.get(signal, 0.0) > 0 and unit != FLOW_UNIT and not signal.startswith(FLOWS)
     }
-    way = ways(model)
+    way, speed = ways(model), _speed(model, sizes)
     alike: dict[tuple[str, bytes], list[str]] = {}
     for signal, unit in units.items():
         alike.setdefault((unit, way[signal]), []).append(signal)
@@ -527,18 +524,26 @@ def _commands(model: Model, sizes: Sizes) -> Iterator[Effect]:
             swing=sizes.swing[signal], level=sizes.level[signal],
             twin=signal if several else None, angle=signal if unit == "rad" else None,
         )  # fmt: skip
-        yield from _moved((signal,), unit, sizes)
+        yield from _moved((signal,), unit, sizes, speed)
     for (unit, _), twins in alike.items():
         if len(twins) > 1:
-            yield from _moved(twins, unit, sizes)
+            yield from _moved(twins, unit, sizes, speed)
 
 
-def _moved(moved: Sequence[str], unit: str, sizes: Sizes) -> list[Effect]:
+def _speed(model: Model, sizes: Sizes) -> str | None:
+    """The forward speed, where it is a state that changes."""
+    _, state = vehicle_axes(model).get("X", ("", ""))
+    if _units(model).get(state) != "m/s" or not sizes.swing[state] > 0.0:
+        return None
+    return state
+
+
+def _moved(moved: Sequence[str], unit: str, sizes: Sizes, speed: str | None) -> list[Effect]:
     """What actuators do to their commands: of one, or of several alike."""
     lag = LAG * sizes.sample
     return listed(
         "usual_actuator", moved=moved, names="_".join(moved), unit=unit, lag=lag, step=sizes.step,
-        duration=sizes.duration,
+        duration=sizes.duration, speed=speed, pace=sizes.level.get(speed or "", 1.0) or 1.0,
         longest=2 * lag if 2 * lag <= LONGEST * sizes.step else None,
         swing=float(np.mean([sizes.swing[signal] for signal in moved])),
     )  # fmt: skip

@@ -52,6 +52,19 @@ def actuator_fading(name: str, signal: str | Sequence[str], *, scale: float = 1e
 
 
 @table.row(Actuator)
+def actuator_speed_gain(name: str, signal: str | Sequence[str], speed: str = "u", *,
+                        scale: float = 0.1, value: float = 0.0) -> None:
+    r"""Gain that changes with a speed, :math:`1 + E u`, of one signal or of several alike.
+
+    Thrust falls with the speed of advance, and a tunnel thruster is swept by the flow; a fin that
+    was modelled at one speed has more lift at a higher one.
+
+    >>> actuator_speed_gain("bow_thruster_at_speed", "n_bow").terms
+    {'n_bow': 'n_bow*(1 + E_bow_thruster_at_speed*u)'}
+    """
+
+
+@table.row(Actuator)
 def actuator_lag(name: str, signal: str | Sequence[str], *, scale: float = 0.25, value: float = 0.0,
                  parameter: str | None = None) -> None:
     """First-order lag of time constant ``E``, of one signal or of several alike.
