@@ -40,14 +40,15 @@ from oed_sysid.cli import main
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.evidence import inputs
 from oed_sysid.evidence.check import LogCheck, advised, corrected_copies, with_estimates
-from oed_sysid.evidence.contrasts import contrasts, fitted_law, laws, readings
+from oed_sysid.evidence.contrasts import Candidate, Found, contrasts, fitted_law, laws, readings
 from oed_sysid.evidence.corrections import as_measured, lagged
 from oed_sysid.evidence.inputs import between_runs, scaled_inputs
-from oed_sysid.evidence.readings import Evidence
+from oed_sysid.evidence.readings import Evidence, as_readings
 from oed_sysid.evidence.relations import Relation, integral, relations, spare_signals
 from oed_sysid.evidence.result import Correction
 from oed_sysid.evidence.screens import screen
 from oed_sysid.evidence.traces import Trace
+from oed_sysid.evidence.words import rival
 from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import first_order
@@ -1472,3 +1473,17 @@ def test_a_wrong_scale_of_a_rate_is_told_from_motion_between_samples(
         assert (one.kind, one.signals) == ("scale", ("p",))
         assert one.size == pytest.approx(factor - 1.0, abs=0.05)
         assert one.interval[0] < factor - 1.0 < one.interval[1]
+
+
+def test_what_a_unit_cannot_be_told_from_is_another_unit_as_well() -> None:
+    """A rate 57 times too large is an angle that is 57 times too small."""
+    turn = 180.0 / np.pi
+    angle = Found(Candidate("scale", ("psi",), "1"), 1.0 / turn - 1.0, 1e-4)
+    zero = Found(Candidate("bias", ("r",), "rad/s"), 0.1, 0.01)
+    rate = Found(Candidate("scale", ("r",), "1"), turn - 1.0, 0.1, 50.0, (angle, zero))
+    (unit,) = as_readings(rate, {"r": "rad/s", "psi": "rad"})
+    assert (unit.candidate.kind, unit.candidate.signals, unit.gain) == ("unit", ("r",), 50.0)
+    other, left = unit.rivals
+    assert (other.candidate.kind, other.candidate.signals) == ("unit", ("psi",))
+    assert left is zero
+    assert rival(other) != rival(angle)

@@ -115,7 +115,9 @@ def as_readings(one: Found, units: Mapping[str, str]) -> list[Found]:
         # What may be no effect at all is no other unit.
         if abs(by - factor) < max(NEGLIGIBLE * abs(by), 3.0 * error) and 3.0 * error < abs(by)
     ]
-    return [replace(reading, gain=one.gain) for reading in near[:1]]
+    # What the records cannot tell it from is read as well.
+    rivals = tuple((*as_readings(other, units), other)[0] for other in one.rivals)
+    return [replace(reading, gain=one.gain, rivals=rivals) for reading in near[:1]]
 
 
 @dataclass(frozen=True)
