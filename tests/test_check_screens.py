@@ -513,8 +513,8 @@ def test_a_size_for_every_record() -> None:
     wind = steady_wind(axes=("X", "Y", "N"))
     found = in_each_record(wind)
     assert found.amplitude_names == ("E_wind_north_by_record", "E_wind_east_by_record")
-    assert found.shape_names == ("arm_wind_by_record",)
-    assert [p.per_record for p in found.parameters] == [True, True, False]
+    assert found.shape_names == ("arm_wind_by_record", "side_wind_by_record")
+    assert [p.per_record for p in found.parameters] == [True, True, False, False]
     same = {f"{p.name}_by_record": p.value for p in wind.parameters}
     assert {p.name: p.value for p in found.parameters} == same
     for axis, text in found.terms.items():

@@ -641,12 +641,14 @@ def test_bouc_wen_against_scipy() -> None:
 
 
 def test_steady_wind_turns_with_the_heading() -> None:
-    """Wind towards north pushes a ship that heads east to port, by the same force."""
+    """Wind towards north pushes a ship that heads east to port, by more than on its bow."""
     wind = effects.steady_wind()
     assert set(wind.terms) == {"X", "Y", "N"}
-    scope = {"E_wind_north": 3.0, "E_wind_east": 0.0, "arm_wind": 2.0, "psi": np.pi / 2}
-    forces = [float(expressions.to_numpy(wind.terms[axis], scope)) for axis in ("X", "Y", "N")]
-    assert forces == pytest.approx([0.0, -3.0, -6.0], abs=1e-12)
+    scope = {"E_wind_north": 3.0, "E_wind_east": 0.0, "arm_wind": 2.0, "side_wind": 4.0}
+    for heading, expected in ((0.0, [3.0, 0.0, 0.0]), (np.pi / 2, [0.0, -12.0, -24.0])):
+        own = scope | {"psi": heading}
+        forces = [float(expressions.to_numpy(wind.terms[axis], own)) for axis in ("X", "Y", "N")]
+        assert forces == pytest.approx(expected, abs=1e-12)
 
 
 def test_table_of_two_arguments_from_a_file(tmp_path: Path) -> None:

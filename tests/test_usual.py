@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -248,10 +249,10 @@ def test_plain_equations_of_a_vehicle_get_wind_and_drift() -> None:
     model = plain_hovercraft()
     made = made_for(model)
     wind = made["wind"]
-    at = {"psi": 0.7, "E_wind_north": 0.3, "E_wind_east": -0.2, "arm_wind": 0.5}
+    at = {"psi": 0.7, "E_wind_north": 0.3, "E_wind_east": -0.2, "arm_wind": 0.5, "side_wind": 2.0}
     found = [float(to_numpy(wind.terms[state], at)) for state in "uvr"]
     turn = Rotation.from_euler("Z", 0.7).as_matrix().T
-    along, side, _ = turn @ [0.3, -0.2, 0.0]
+    along, side, _ = turn @ [0.3, -0.2, 0.0] * [1.0, 2.0, 1.0]
     np.testing.assert_allclose(found, [along, side, 0.5 * side])
     assert [p.unit for p in wind.parameters if p.name.startswith("E")] == ["m/s^2"] * 2
     assert {"drift_north", "drift_east"} <= made.keys()
@@ -676,3 +677,76 @@ def test_a_thruster_that_loses_its_gain_with_speed_is_named() -> None:
     assert found.remains.kind == "adequate"
     name = "E_n_bow_at_speed"
     assert abs(found.fit.values[name] + 0.2) < 3.0 * found.fit.std_errors[name]
+
+
+HOVER = Model(
+    "hovering platform",
+    states=(
+        State("north", "m", scale=10.0),
+        State("east", "m", scale=10.0),
+        State("psi", "rad"),
+        State("u", "m/s"),
+        State("v", "m/s"),
+        State("r", "rad/s", scale=0.2),
+    ),
+    inputs=(Input("push", "N"), Input("shove", "N"), Input("turn", "N m")),
+    outputs=(
+        Output("north", "m", noise_std=0.05),
+        Output("east", "m", noise_std=0.05),
+        Output("psi", "rad", noise_std=0.005),
+        Output("u", "m/s", noise_std=0.01),
+        Output("v", "m/s", noise_std=0.01),
+        Output("r", "rad/s", noise_std=0.002),
+    ),
+    kinematics={
+        "north": "u*cos(psi) - v*sin(psi)",
+        "east": "u*sin(psi) + v*cos(psi)",
+        "psi": "r",
+        "u": "(push - a*u)/200 + v*r",
+        "v": "(shove - b*v)/200 - u*r",
+        "r": "(turn - c*r)/80",
+    },
+    parameters=(
+        Parameter("a", 30.0, "N s/m", prior_std=10.0),
+        Parameter("b", 60.0, "N s/m", prior_std=20.0),
+        Parameter("c", 50.0, "N m s", prior_std=15.0),
+    ),
+    step=0.2,
+)
+
+
+def hovered(seed: int, name: str) -> Record:
+    """The platform in a wind that pushes four times as hard on its side as on its bow."""
+    rng, times = np.random.default_rng(seed), 0.2 * np.arange(300)
+    pushes = np.repeat(rng.uniform(-1.0, 1.0, (15, 3)) * [40.0, 60.0, 12.0], 20, axis=0)
+
+    def rates(t: float, x: np.ndarray) -> list[float]:
+        push, shove, turn = pushes[min(int(t / 0.2 + 1e-9), 299)]
+        _, _, psi, u, v, r = x
+        cos, sin = np.cos(psi), np.sin(psi)
+        bow, side = 12.0 * cos + 5.0 * sin, 4.0 * (5.0 * cos - 12.0 * sin)
+        return [
+            u * cos - v * sin, u * sin + v * cos, r, (push + bow - 33.0 * u) / 200.0 + v * r,
+            (shove + side - 52.0 * v) / 200.0 - u * r, (turn + 0.3 * side - 45.0 * r) / 80.0,
+        ]  # fmt: skip
+
+    path = [np.zeros(6)]
+    for begin, end in pairwise(times):
+        run = solve_ivp(rates, (begin, end - 1e-9), path[-1], rtol=1e-8, atol=1e-10)
+        path.append(run.y[:, -1])
+    noise = rng.normal(size=(300, 6)) * [0.05, 0.05, 0.005, 0.01, 0.01, 0.002]
+    return Record(name, times, pushes, np.array(path) + noise, HOVER.channels)
+
+
+def test_a_wind_on_a_broad_side_is_the_wind_and_nothing_beside() -> None:
+    """How much more the side takes is estimated with the wind; no hidden state fills it in."""
+    train = Dataset([hovered(1, "one"), hovered(2, "two")])
+    found = improve(HOVER, train, Dataset([hovered(3, "three")]), terms=False)
+    assert [step.added for step in found.steps] == ["wind"]
+    assert found.remains.kind == "adequate"
+    true = {"E_wind_north": 12.0, "E_wind_east": 5.0, "side_wind": 4.0, "arm_wind": 0.3}
+    for name, value in true.items():
+        size = found.fit.values[name] * (200.0 if name.startswith("E") else 1.0)
+        size *= 80.0 / 200.0 if name == "arm_wind" else 1.0
+        error = found.fit.std_errors[name] * size / found.fit.values[name]
+        assert abs(size - value) < 3.5 * abs(error)

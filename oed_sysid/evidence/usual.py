@@ -495,7 +495,9 @@ def _rewritten(force: Force, equations: Mapping[str, str], units: Mapping[str, s
     return replace(
         force,
         terms={equations[axis]: text for axis, text in force.terms.items()},
-        parameters=tuple(replace(one, unit=units[one.unit]) for one in force.parameters),
+        parameters=tuple(
+            replace(one, unit=units.get(one.unit, one.unit)) for one in force.parameters
+        ),
     )
 
 

@@ -239,15 +239,16 @@ def wave_force(name: str, axis: str, unit: str = "N", *, frequency: float = 1.0,
 
 @table.row(Force)
 def steady_wind(name: str = "wind", *, axes: tuple[str, ...] = ("X", "Y", "N"),
-                heading: str = "psi", force: float = 1.0, arm: float = 1.0) -> table.Derived:
+                heading: str = "psi", force: float = 1.0, arm: float = 1.0,
+                span: float = 10.0) -> table.Derived:
     r"""Steady wind on a vehicle whose own speed is small against it, without coefficient tables.
 
-    .. math:: X = E_n\cos\psi + E_e\sin\psi, \quad Y = E_e\cos\psi - E_n\sin\psi, \quad
+    .. math:: X = E_n\cos\psi + E_e\sin\psi, \quad Y = s\,(E_e\cos\psi - E_n\sin\psi), \quad
               N = l\,Y
 
-    Two amplitudes are the force towards north and east; the third, its lever of ``Y``, is a
-    length that is zero when the wind pushes at the origin. Like a hull of equal
-    resistance from all sides: a first candidate, to be replaced by :func:`wind_load`.
+    Two amplitudes are the force towards north and east on the bow; the side, which is larger on
+    most hulls, takes :math:`s` times as much, and its lever :math:`l` is a length that is zero when
+    the wind pushes at the origin. A first candidate, to be replaced by :func:`wind_load`.
 
     Parameters
     ----------
@@ -259,12 +260,18 @@ def steady_wind(name: str = "wind", *, axes: tuple[str, ...] = ("X", "Y", "N"),
         State or signal of the heading.
     force, arm : float
         Typical force in N and lever in m.
+    span : float
+        Factor by which the side may take more, or less, than the bow.
     """
     lever = Parameter(f"arm_{name}", 0.0, "m", -3 * arm, 3 * arm, scale=arm, description="lever")
+    ratio = Parameter(f"side_{name}", 1.0, "1", 1.0 / span, span, log=True,
+                      description="side over bow")
     side = "({E_east}*cos({heading}) - {E_north}*sin({heading}))"
+    side = f"{{ratio}}*{side}" if {"X", "Y"} <= {*axes} else side
     along = "{E_north}*cos({heading}) + {E_east}*sin({heading})"
     terms = {"X": along, "Y": side, "N": f"{{lever}}*{side}"}
     return {"scale": force, **({"lever": lever} if "N" in axes else {}),
+            **({"ratio": ratio} if {"X", "Y"} <= {*axes} else {}),
             "terms": {axis: terms[axis] for axis in axes}}
 
 
