@@ -48,7 +48,12 @@ from oed_sysid.evidence.contrasts import (
     Result,
 )
 from oed_sysid.evidence.corrections import corrected_copies, why_not_more
-from oed_sysid.evidence.inputs import between_runs, input_findings, scaled_inputs
+from oed_sysid.evidence.inputs import (
+    between_runs,
+    has_priors,
+    input_findings,
+    scaled_inputs,
+)
 from oed_sysid.evidence.readings import Evidence, as_readings, diagnosed
 from oed_sysid.evidence.relations import Relation, names_of, relations, spare_signals, standard
 from oed_sysid.evidence.result import (
@@ -367,15 +372,17 @@ def _left(
 
     Those of the sensors are undone. What was found of inputs was asked of the nominal model: it is
     asked again with the other effects, all else at the values that it had, unless one of them acts
-    with a command and may be what is wrong with it.
+    with a command and may be what is wrong with it. Without priors, values that were begun with say
+    nothing, and those of the fit take their place.
     """
     # Exact coincidences of what was logged stay what they are.
     asked = [f for f in log.serious if f.gain or f.kind == "unexplained"]
     if not (asked and claimed):
         return [*log.findings]
-    shown = _shown_beside(fit, records, claimed, nominal)
+    known = has_priors(fit.model)
+    shown = _shown_beside(fit, records, claimed, nominal if known else fit.values)
     commands = {*fit.model.input_names, *fit.model.actuator_signals}
-    if any(commands & _acting(one) for one in claimed):
+    if known and any(commands & _acting(one) for one in claimed):
         shown |= {one.name for one in asked if {*one.signals} <= commands}
     return [f for f in log.findings if f not in asked or f.name in shown]
 

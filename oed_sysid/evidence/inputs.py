@@ -10,8 +10,8 @@ parameters: constants whose errors are as large as their declared priors, a quar
 errors and a constant force in each record are in every regression, so that an input is at fault
 only by what they leave; physics that the model lacks is autocorrelated noise of the contrast and
 widens all intervals alike, a sea those of what acts in its band. Asked are the sign, unit, column,
-offset, scale and delay of every input that moves. Where no prior is declared only its times are
-asked, and samples that were lost: an input of the other sign is a coefficient of the other sign.
+offset, scale and delay of every input that moves. Where no prior is declared only delays are
+asked: an input of the other sign is a coefficient of the other sign.
 
 Between runs the fit itself is asked (:func:`between_runs`), without errors in the regressors: with
 information :math:`H_i` and score :math:`g_i` of record *i* about the shared parameters at the
@@ -79,8 +79,7 @@ from oed_sysid.runtime.constants import NEGLIGIBLE
 
 # What is asked of an input.
 ASKED = ("sign", "unit", "bias", "scale", "delay", "step", "lost")
-# Of these, what no coefficient of another value does as well.
-UNLIKE_COEFFICIENTS = ("delay", "step", "lost")
+
 NO_PRIORS = SAYS["log"]["no priors"]
 # Exact coincidences that no measured input has; at a limit an actuator stays rightly.
 REPEATED = ("held", "frozen", "dropouts")
@@ -178,7 +177,7 @@ def input_findings(
     traces, derived = told
     traces = [trace.blank(marked(faults, trace.name, REPEATED)) for trace in traces]
     unlogged, traces = _unlogged(traces, _nominal(model), model)
-    known = _believed_some(model)
+    known = has_priors(model)
     question = _question(traces, model, timed=not derived)
     found, ended = diagnosed(traces, question)
     log = Log(dataset.channels, (), dataset.names, {t.name: t.ends for t in traces})
@@ -189,7 +188,7 @@ def input_findings(
     # What the motion says of an input holds what its range says.
     named = set().union(*(one.signals for one in findings))
     findings += [one for one in beyond if named.isdisjoint(one.signals)]
-    whys = {} if known else dict.fromkeys({*ASKED}.difference(UNLIKE_COEFFICIENTS), NO_PRIORS)
+    whys = {} if known else dict.fromkeys({*ASKED} - {"delay"}, NO_PRIORS)
     if derived:
         whys |= dict.fromkeys(("delay", "step"), say("log", "untimed", names=", ".join(derived)))
     rows = [
@@ -424,10 +423,9 @@ def smooth(name: str) -> str:
 def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question:
     """What is asked of inputs, with errors of the parameters and constant forces beside it.
 
-    Delays, lags and jumps of a zero where the states are ``timed``; what coefficients do as well
-    where they have priors.
+    Delays and lags where the states are ``timed``, alone where no parameter has a prior.
     """
-    known = _believed_some(model)
+    known = has_priors(model)
     equations = _nominal(model)
     length = max(end - start for start, end in (t.ends for t in traces))
     moving = {one.name: one.unit for one in model.inputs if _moves(traces, one.name)}
@@ -439,13 +437,13 @@ def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question
         lost = Candidate("lost", (name,), "1", 1.0, 0.5, rare=RARER)
         if known:
             common += [bias, replace(lost, material=NEGLIGIBLE, rare=0.0)]
-        local.append(lost)
+            local.append(lost)
+            single += [replace(lost, record=t.name) for t in traces]
         if timed:
             common.append(Candidate("delay", (name,), "s", late, traces[0].step))
             common.append(Candidate("lag", (name,), "s", late, traces[0].step, positive=True))
             # A zero that jumps is rarer than a force that sets in: two equations tell them.
-            local.append(replace(bias, kind="step", rare=RARER))
-        single += [replace(lost, record=t.name) for t in traces]
+            local += [replace(bias, kind="step", rare=RARER)] * known
     for name in (one.target for one in equations):
         # A force that sets in is as large as those that move the vehicle.
         steep = (np.gradient(s, t.times) for t in traces for s in t.filled([name]).values())
@@ -494,7 +492,7 @@ def _given(
         yield Candidate("drift", (r.target,), "", usual, 0.0, record=t.name)
 
 
-def _believed_some(model: Model) -> bool:
+def has_priors(model: Model) -> bool:
     """Whether some parameter has a declared prior."""
     return any(p.prior_std is not None for p in model.free_parameters)
 
