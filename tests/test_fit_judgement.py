@@ -55,6 +55,7 @@ from oed_sysid.likelihood.noise_levels import (
     spike_masks,
     spike_sizes,
 )
+from oed_sysid.likelihood.parabola import steepness
 from oed_sysid.physics import Force, RandomForce
 from oed_sysid.physics.channels import Input
 from oed_sysid.runtime.constants import IMMATERIAL
@@ -1123,3 +1124,33 @@ def test_a_ship_that_answers_late_has_an_actuator_that_does() -> None:
     found = improve(HEADED, Dataset(data[:2]), Dataset(data[2:]))
     assert [step.added for step in found.steps] == ["rudder_delay"]
     assert found.remains.kind == "adequate"
+
+
+@pytest.mark.parametrize(
+    ("scenario", "told"),
+    [
+        ("weak_small", True),
+        ("medium", False),
+        *slow(("weak", True), ("white", False), ("drone_gusts", False)),
+    ],
+)
+def test_errors_of_weak_trials_are_no_plus_or_minus(scenario: str, told: bool) -> None:
+    """The likelihood beside the weakest parameter is a parabola, or that is said.
+
+    A second look at the rise: all other unknowns estimated again with the parameter held.
+    """
+    one = SCENARIOS[scenario]
+    for data in simulate_worlds(one, 9101, range(2)):
+        model = nominal_model(one.vehicle).with_values(believed(one))
+        fit = MultipleShooting().fit(model, dataset(one, model, data.runs))
+        found = [c for c in fit.concerns if c.kind == "curved"]
+        assert bool(found) == told
+        name, rises = steepness(fit)
+        assert told == bool((np.abs(np.log(rises)) > np.log(4.0)).any())
+        if not told:
+            for side, rise in zip((-1.0, 1.0), rises, strict=True):
+                away = fit.values[name] + side * 3.0 * fit.std_errors[name]
+                held = fit.model.with_values({name: away}).fix(name)
+                again = MultipleShooting().fit(held, fit.dataset)
+                fall = 2.0 * (fit.log_likelihood - again.log_likelihood)
+                assert fall / 9.0 == pytest.approx(rise, abs=0.35)

@@ -68,6 +68,7 @@ from oed_sysid.likelihood.covariance import Peak, clear_peaks
 from oed_sysid.likelihood.departures import (
     CLEARLY,
     LEVERS,
+    TWOFOLD,
     change_of_outputs,
     clear_departure,
     clear_starts,
@@ -80,6 +81,7 @@ from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
 from oed_sysid.likelihood.input_factors import input_factors
 from oed_sysid.likelihood.integration import step_change
 from oed_sysid.likelihood.laws import departures_beside, laws_of, loss_without, posed_again
+from oed_sysid.likelihood.parabola import steepness
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.runtime.constants import BEYOND, IMMATERIAL, MATERIAL, NEGLIGIBLE
 from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
@@ -121,7 +123,7 @@ class Concern:
         ``noise_level``, ``autocorrelation``, ``narrow_band``, ``spikes``, ``delay``, ``offset``,
         ``zero``, ``scale``, ``clock``, ``lever``, ``actuator_start``, ``per_record_follows``,
         ``records_differ``, ``input_noise``, ``input_factor``, ``absorbed``, ``process_noise``,
-        ``constraint``, ``integration``, ``finer_step``, ``runaway``, ``degenerate`` or
+        ``constraint``, ``curved``, ``integration``, ``finer_step``, ``runaway``, ``degenerate`` or
         ``few_samples``.
     signal : str
         Output, input, state or parameter; empty where it is the whole fit.
@@ -132,7 +134,8 @@ class Concern:
         (``autocorrelation``), a number of samples (``spikes``), seconds (``delay``,
         ``narrow_band``), m (``lever``), the unit of the signal (``offset``, ``zero``,
         ``actuator_start``), a share (``scale``, ``clock``), a correlation (``per_record_follows``),
-        a factor of the standard error (``records_differ``), the true input over the logged one
+        a factor of the standard error (``records_differ``) or of the rise that it says
+        (``curved``), the true input over the logged one
         (``input_factor``), noise levels (``integration``, ``input_noise``), multiples of the scale
         (``runaway``) or of the signal (``degenerate``), samples per unknown (``few_samples``),
         standard errors (``constraint``, ``finer_step``), the score test's 2 delta ln L
@@ -570,6 +573,19 @@ def _input_factors(fit: Estimate) -> Iterator[Found]:
             yield Found(one.reading.factor, names, facts={"text": one.text})
 
 
+def _curved(fit: Estimate) -> Iterator[Found]:
+    """The parameter that is told least, where its error is no plus or minus."""
+    known = steepness(fit) if fit.status.ok else None
+    if known is None:
+        return
+    name, rises = known
+    far = np.abs(np.log(np.maximum(rises, NEGLIGIBLE**2)))
+    worst = int(np.argmax(far))
+    if far[worst] > 2.0 * np.log(TWOFOLD):
+        facts = {"side": ("below", "above")[worst], "parameter": name}
+        yield Found(float(rises[worst]), name, facts=facts)
+
+
 # -- the trajectory ------------------------------------------------------------------
 
 
@@ -827,6 +843,7 @@ CHECKS: tuple[tuple[str, Callable[[Estimate], Iterable[Found]]], ...] = (
     ("degenerate", _degenerate),
     ("few_samples", _few_samples),
     ("process_noise", _process_noise),
+    ("curved", _curved),
     ("constraint", _binding),
     ("input_factor", _input_factors),
     ("records_differ", _records_differ),
