@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from benchmarks.tables import tables
-from oed_sysid import Channels, Dataset, Input, Output, new_problem, read_csv
-from oed_sysid.cli import main
+from oed_sysid import Channels, Dataset, Input, Output, load_problem, new_problem, read_csv
+from oed_sysid.cli import SUSPECT, main
 from oed_sysid.data import apart, formats
 from oed_sysid.data.log import assemble, euler_angles, local_position
 from oed_sysid.data.logs import (
@@ -611,6 +611,36 @@ def test_records_of_a_problem_are_checked(
     assert main(["import", log, "--draft", "draft.toml"]) == 2
     assert main(["import", log, "--map", "good.toml", "--out", "good.csv"]) == 2
     assert "Give a folder" in capsys.readouterr().err
+
+
+def test_several_logs_share_the_mapping_of_the_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    """What the first is told to hold the others are read as; one without a field is named."""
+    monkeypatch.chdir(tmp_path)
+    problem, times = str(new_problem(tmp_path / "boat")), np.arange(0.0, 60.0, 0.5)
+    for name, slow in (("one", 0.1), ("two", 0.07), ("bad", 0.13)):
+        heading = 30.0 * np.sin(slow * times)
+        rudder = 20.0 * np.sin(2.0 * slow * times)
+        rate = "yaw [deg/s]" if name == "bad" else "YawRate (deg/s)"
+        table = np.column_stack([times, rudder, heading, np.gradient(heading, times)])
+        header = f"time_s,rudder_angle_deg,Heading (deg),{rate}"
+        np.savetxt(f"{name}.csv", table, delimiter=",", header=header, comments="")
+    asked = ["--problem", problem, "--json", "out.json", "--out"]
+    assert main(["import", "one.csv", "two.csv", *asked, "data"]) in (0, SUSPECT)
+    told = json.loads(Path("out.json").read_text())
+    assert told["logs"] == ["one.csv", "two.csv"]
+    records = read_csv(tmp_path / "data", load_problem(problem).model.channels)
+    assert [record.name for record in records] == ["one", "two"]
+    for record, slow in zip(records, (0.1, 0.07), strict=True):
+        expected = np.radians(30.0 * np.sin(slow * times))
+        np.testing.assert_allclose(record.output("psi"), expected, atol=1e-9)
+    capsys.readouterr()
+    assert main(["import", "one.csv", "bad.csv", *asked, "none"]) == 2
+    said = capsys.readouterr().err
+    assert "bad.csv" in said
+    assert "YawRate" in said
+    assert not Path("none").exists()
 
 
 def test_draft_maps_what_has_a_name(tmp_path: Path) -> None:

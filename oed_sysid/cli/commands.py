@@ -156,7 +156,7 @@ def _files(experiments: list[Experiment], out: Path | None) -> list[Path]:
 
 
 def import_(
-    log: Path,
+    log: list[Path],
     listing: bool = False,
     find: str = "",
     mapping: Path | None = None,
@@ -169,6 +169,7 @@ def import_(
 
     Without a mapping fields are told by their numbers: what was read as what is shown before and
     after, with what should be confirmed; --out writes records of it, and the mapping beside them.
+    Of several logs the first tells the mapping, and the others are read by it.
     Ends with exit code 4 when the log is suspect; the records are written all the same.
 
     [bold]Example[/bold]: oed-sysid import trial.csv --out my_ship/sea
@@ -178,17 +179,20 @@ def import_(
     [bold]Example[/bold]: oed-sysid import trial.ulg --map ship.toml --out my_ship/sea
     """
     chosen = oed_sysid.read_mapping(mapping) if mapping is not None else None
-    with progress(f"Reading {log.name}"):
-        found = oed_sysid.open_log(log)
+    found = []
+    for one in log:
+        with progress(f"Reading {one.name}"):
+            found.append(oed_sysid.open_log(one))
     named = problem or ("" if chosen is None else chosen.problem)
     meant = oed_sysid.load_problem(_place(named, mapping), variant=model).model if named else None
     if draft is not None and not listing:
-        _draft(log, found, meant, named, draft)
+        _draft(log[0], found[0], meant, named, draft)
         return
     if chosen is None and not listing and not find:
-        chosen = _told(log, found, meant, named, out)
+        chosen = _told(log[0], found[0], meant, named, out)
     if listing or chosen is None:
-        _list(log, found, find)
+        for one, fields in zip(log, found, strict=True):
+            _list(one, fields, find)
     elif mapping is not None or out is not None:
         _import(found, chosen, meant, out or Path("data"))
 
@@ -232,19 +236,21 @@ def _told(
 
 
 def _import(
-    log: Log,
+    logs: Sequence[Log],
     mapping: LogMapping,
     model: Model | None,
     out: Path,
 ) -> None:
-    """Write a CSV file for every record of a log, and say what its check found."""
-    result = oed_sysid.import_log(log, mapping, None if model is None else model.channels)
-    dataset = result.dataset
+    """Write a CSV file for every record of some logs, and say what the check of all found."""
+    channels = None if model is None else model.channels
+    results = [oed_sysid.import_log(log, mapping, channels) for log in logs]
+    dataset = oed_sysid.Dataset(tuple(record for one in results for record in one.dataset))
     if out.suffix.lower() == ".csv":
         raise DataError(f"{out} is a file. Give a folder to --out: every cut becomes a file in it.")
-    files = write_runs(dataset, out, "--out", [log.path])
+    files = write_runs(dataset, out, "--out", [log.path for log in logs])
     mapping.write(out / "mapping.toml")
-    for line in result.notes:
+    notes = [line for one in results for line in one.notes]
+    for line in notes:
         note(line)
     checked = oed_sysid.check(dataset, model)
     answer(f"{counted(len(files), 'record')} written to {out}. {checked.verdict}")
@@ -253,7 +259,8 @@ def _import(
         say(f"{file}: {record.duration:.1f} s, {record.n_samples} rows ({rate:.3g} per second)")
     say(checked.report())
     draw(Figure("figure_record", dataset.records[0], ""), asked("picture"))
-    facts = {"log": str(log.path), "files": list(map(str, files)), "notes": list(result.notes)}
+    of = {"log": str(logs[0].path)} if len(logs) == 1 else {"logs": [str(x.path) for x in logs]}
+    facts = {**of, "files": list(map(str, files)), "notes": notes}
     store({**facts, "check": checked.to_dict()}, records=[dataset])
     if checked.suspect:
         raise typer.Exit(SUSPECT)

@@ -171,14 +171,14 @@ class Subset:
         """How many parameters can be estimated, and what to do with the others."""
         text = f"{self.size} of {len(self.order)} parameters can be estimated together{source}"
         if near := self.advised("prior"):
-            text += f"; estimate with their priors {', '.join(near)}"
+            text += f"; only with a prior (prior_std) {', '.join(near)}"
         if fixed := self.advised("fix"):
             text += f"; fix {', '.join(fixed)}"
         return f"{text}."
 
     def document(self) -> Report:
         """Return the subset in words and as a table."""
-        words = {"estimate": "estimate", "prior": "with its prior", "fix": "fix"}
+        words = {"estimate": "estimate", "prior": "with a prior", "fix": "fix"}
         rows = [
             (
                 place.name,
