@@ -1154,3 +1154,43 @@ def test_errors_of_weak_trials_are_no_plus_or_minus(scenario: str, told: bool) -
                 again = MultipleShooting().fit(held, fit.dataset)
                 fall = 2.0 * (fit.log_likelihood - again.log_likelihood)
                 assert fall / 9.0 == pytest.approx(rise, abs=0.35)
+
+
+def test_a_late_sensor_of_an_oscillation_is_followed_to_its_end() -> None:
+    """A sixth of a period late: what is undone by a wrong run alone would lead ever farther off."""
+    model = Model(
+        "roller",
+        states=(State("phi", "rad", scale=0.1), State("p", "rad/s", scale=0.1)),
+        inputs=(Input("delta", "rad"),),
+        outputs=(Output("p", "rad/s", noise_std=0.002),),
+        kinematics={"phi": "p", "p": "-w0**2*phi - 2*z*w0*p - b*delta"},
+        parameters=(
+            Parameter("w0", 0.6, "rad/s"),
+            Parameter("z", 0.1, "1"),
+            Parameter("b", 0.05, "1/s^2"),
+        ),
+        step=0.5,
+    )
+
+    def rolls(s: np.ndarray, _: int, command: float) -> np.ndarray:
+        return np.array([s[1], -0.4225 * s[0] - 0.104 * s[1] - 0.04 * command])
+
+    rng, records = np.random.default_rng(3), []
+    for name in ("one", "two"):
+        delta = np.repeat(rng.choice([-0.35, -0.17, 0.17, 0.35], 20), 20)
+        x, path = np.zeros(2), []
+        for command in delta:
+            path.append(x[1])
+            for _ in range(10):
+                x = runge_kutta(rolls, x, 0.05, command)
+        late = np.concatenate([np.zeros(3), path[:-3]])
+        outputs = (late + 0.002 * rng.standard_normal(delta.size))[:, None]
+        times = 0.5 * np.arange(delta.size)
+        records.append(Record(name, times, delta[:, None], outputs, model.channels))
+    fit = MultipleShooting().fit(model, Dataset(records))
+    asked = fit.process_noise
+    assert asked is not None
+    assert asked.departure is not None
+    assert asked.departure_likelier
+    assert abs(abs(asked.departure.size) - 1.5) < 3.0 * asked.departure.std
+    assert asked.departure.std < 0.05

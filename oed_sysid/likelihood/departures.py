@@ -321,42 +321,41 @@ def acting(record: Record, column: int, kind: str, by: float) -> Record:
 
 
 def undone(fit: Estimate, records: Dataset, one: Departure) -> Dataset:
-    """Records as they would be without a departure, as the runs of a fit have it.
+    """Records as they would be without a departure, the noise of every sample as it is.
 
-    Outputs lose what it makes of the runs, :math:`y - (h_d - h)`, so that their noise stays what it
-    is; an input acts at its time. Where that is beyond the record it tells nothing, and the runs
-    stand in place of the outputs.
+    A late output moves by whole samples, and by what the runs of a fit do between them; another
+    loses what the departure makes of the runs; an input acts at its time. Where that is beyond the
+    record it tells nothing, and the runs stand in place of the outputs.
     """
     result, model = list[Record](), fit.model
     for index, record in enumerate(records):
-        if one.kind in ACTING:
-            record = acting(record, model.input_names.index(one.signal), one.kind, one.size)
-        run, times = run_of(fit, index, record.inputs, kernel(model)), record.times
+        times, outputs = record.times, record.outputs
         late = {"late": one.size, "acts late": one.size, "slow": one.size * (times - times[0])}
         moment = times - late.get(one.kind, 0.0)
-        outside = ((moment < times[0]) | (moment > times[-1]))[:, None]
-        named = np.isfinite(record.outputs)
-        if one.kind not in ACTING:
-            named &= np.isin(model.output_names, one.signals)
-        added = _departed_runs(fit, index, run, one, moment)
-        outputs = np.where(outside, run.outputs, record.outputs - added)
+        named = np.isin(model.output_names, one.signals)
+        if one.kind in ACTING:
+            record = acting(record, model.input_names.index(one.signal), one.kind, one.size)
+            named[:] = True
+        run = run_of(fit, index, record.inputs, kernel(model))
+        if one.kind in ("late", "slow"):
+            middle = 0.5 * (moment[1:] + moment[:-1])
+            nearest = np.searchsorted(middle, times)
+            between = [np.interp(moment[nearest], times, series) for series in run.outputs.T]
+            outputs = outputs[nearest] + run.outputs - np.column_stack(between)
+        elif one.kind not in ACTING:
+            outputs = outputs - one.size * _shape(fit, index, run, one.kind)
+        outside = ((times < moment[0]) | (times > moment[-1]))[:, None]
+        outputs = np.where(outside, run.outputs, outputs)
         result.append(record.with_outputs(np.where(named, outputs, record.outputs)))
     return Dataset(tuple(result))
 
 
-def _departed_runs(
-    fit: Estimate, index: int, run: Run, one: Departure, moment: np.ndarray
-) -> np.ndarray:
-    """What a departure adds to a run of its own inputs, ``(n_times, n_outputs)``."""
+def _shape(fit: Estimate, index: int, run: Run, kind: str) -> np.ndarray:
+    """What a unit of a departure of outputs adds to a run, ``(n_times, n_outputs)``."""
     times = fit.dataset[index].times
-    if one.kind in ACTING:
-        return np.zeros_like(run.outputs)
-    if one.kind in LEVERS:
-        return one.size * off_origin(fit.model, one.kind, values_of(fit, index), run.states, times)
-    if one.kind in ("late", "slow"):
-        late = [np.interp(moment, times, series) for series in run.outputs.T]
-        return np.column_stack(late) - run.outputs
-    return one.size * SHAPES[one.kind](run.outputs, times)
+    if kind in LEVERS:
+        return off_origin(fit.model, kind, values_of(fit, index), run.states, times)
+    return SHAPES[kind](run.outputs, times)
 
 
 def followed(

@@ -41,14 +41,16 @@ def steepness(fit: Estimate) -> tuple[str, np.ndarray] | None:
         Rise below and above the estimate, over that of a parabola; infinite where no trajectory is
         finite, one beyond a bound. None where nothing is told of any.
     """
+    finite = np.isfinite([fit.std_errors[name] for name in fit.names])
+    if not finite.any():
+        return None
     objective, limits, matrix, unknowns = _posed(fit)
     covariance = inverse_of(matrix)
     errors = np.sqrt(np.diag(covariance))[: len(fit.names)]
     size = np.maximum(np.abs(unknowns[: len(fit.names)]), np.finfo(float).tiny)
-    told = np.array([np.isfinite(fit.std_errors[name]) for name in fit.names]) & (errors > 0.0)
-    if not told.any():
+    weakest = int(np.argmax(np.where(finite, errors / size, -1.0)))
+    if not errors[weakest] > 0.0:
         return None
-    weakest = int(np.argmax(np.where(told, errors / size, -1.0)))
     step = AWAY * covariance[:, weakest] / errors[weakest]
     lower, upper = limits.lower, limits.upper
     begin, rises = objective(unknowns), np.ones(2)
