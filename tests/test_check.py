@@ -238,7 +238,8 @@ def test_turned_velocities_and_a_heading_that_is_off_are_one_group(angle: float)
     assert len(found.serious) == 1
     told = (found.serious[0].name, *found.serious[0].alternatives)
     assert any("psi" in one for one in told)
-    (turned,) = (one for one in told if "u and v" in one)
+    # Both of the other sign are turned by half a turn.
+    (turned,) = (one for one in told if "u and v" in one and "other sign" not in one)
     size = 180.0 if "180 deg" in turned else float(turned.split("(")[1].split()[0])
     assert abs(size) == pytest.approx(angle, abs=0.5)
 
@@ -1487,3 +1488,14 @@ def test_what_a_unit_cannot_be_told_from_is_another_unit_as_well() -> None:
     assert (other.candidate.kind, other.candidate.signals) == ("unit", ("psi",))
     assert left is zero
     assert rival(other) != rival(angle)
+
+
+def test_velocities_of_one_instrument_are_in_knots_together(dives) -> None:  # type: ignore[no-untyped-def]
+    """Neither alone: one of them in knots would break the equation of the depth."""
+    problem, data = dives
+    knots = 3600.0 / 1852.0
+    spoilt = altered(data, u=lambda r: knots * r.output("u"), w=lambda r: knots * r.output("w"))
+    (one,) = check(spoilt, problem).serious
+    assert (one.kind, set(one.signals)) == ("unit", {"u", "w"})
+    assert one.correction is not None
+    assert one.correction.value == pytest.approx(1.0 / knots)

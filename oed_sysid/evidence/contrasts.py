@@ -1137,6 +1137,9 @@ def readings(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Iterat
     units, names = units_of(traces), names_of(relations)
     angles = [r.names for r in relations if r.is_rate and units[r.target] == "rad"]
     groups = [*((n,) for n in names), *(pair for pair in angles if len(pair) == 2)]
+    # What one instrument writes, it writes in one unit.
+    alike = (tuple(n for n in names if units[n] == unit) for unit in dict.fromkeys(units.values()))
+    groups += [some for some in alike if len(some) > 1]
     yield from plain_readings(groups, units)
     yield from (Found(Candidate("swap", pair)) for pair in combinations(names, 2))
     yield from _axes(traces, relations, units)

@@ -46,7 +46,8 @@ from oed_sysid.runtime.constants import NEGLIGIBLE
 def diagnosed(traces: Sequence[Trace], question: Question) -> tuple[list[Found], Result]:
     """Faults that the equations show: readings first where nothing else is near, then sizes."""
     plain = search(traces, question, only_linear=True)
-    if not plain.strained and not _nearer(plain, traces, question):
+    scaled = any(one.candidate.kind == "scale" for one in plain.found)
+    if not (plain.strained or scaled or _nearer(plain, traces, question)):
         return [], _unopposed(plain, traces, question)
     found, start = misread(traces, question)
     right = mended(traces, found, question.relations)
@@ -174,7 +175,8 @@ class Evidence:
 def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Found], list[Found]]:
     """Other readings that the equations ask for, and delays to begin from.
 
-    A reading is accepted if it tells more than every fault with a size does together.
+    A reading is accepted if it tells more than every fault with a size does together, or as much as
+    a single scale.
 
     Returns
     -------
@@ -199,11 +201,14 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Found], l
             break
         if best.candidate in question.common:
             return found, [best]
-        sized = [one.correction for one in search(coarse, shared).found]
-        if best.gain < limit + max(0.0, evidence.gained(sized)):
+        sized = search(coarse, shared).found
+        told = max(0.0, evidence.gained([one.correction for one in sized]))
+        # One scale that does as much has a size of its own to choose, and another unit none.
+        as_much = sized if [one.candidate.kind for one in sized] == ["scale"] else []
+        if best.gain < (max(limit, told - CLOSE) if as_much else limit + told):
             break
         near = (one for one in others if one.gain > best.gain - CLOSE)
-        rivals = tuple(one for one in near if one.candidate not in question.common)
+        rivals = (*(one for one in near if one.candidate not in question.common), *as_much)
         found.append(replace(best, rivals=rivals))
         coarse = mended(coarse, [best], question.relations)
     return found, []
