@@ -201,3 +201,42 @@ def test_delays_of_inputs_are_told_without_priors(late: int) -> None:
     states = {one.fault: one.state for one in found.judged if one.signal == "n_p"}
     assert states["sign"] == "not tested"
     assert states["delay"] == ("found" if late else "tested")
+
+
+def test_an_output_that_counts_the_other_way_is_named() -> None:
+    """Heel is in nothing else that was measured: its coefficients turn, and no input does."""
+
+    def rolls(c: float, b: float) -> Model:
+        return Model(
+            "ferry",
+            states=(State("r", "rad/s", scale=0.02), State("phi", "rad"), State("p", "rad/s")),
+            inputs=(Input("rudder", "rad"),),
+            outputs=(Output("r", "rad/s", noise_std=0.001), Output("p", "rad/s", noise_std=0.002)),
+            kinematics={
+                "r": "(K*rudder - r)/T",
+                "phi": "p",
+                "p": "-0.4*phi - 0.1*p + c*r - b*rudder",
+            },
+            parameters=(
+                Parameter("K", 0.1, "1/s"),
+                Parameter("T", 9.0, "s"),
+                Parameter("c", c, "1/s"),
+                Parameter("b", b, "1/s^2"),
+            ),
+            step=0.5,
+        )
+
+    steps = PRBS("rudder", 0.3, bit_time=8.0, seed=4)
+    run = Experiment("one", steps, duration=240.0, sample_time=0.5)
+    record = simulate(rolls(0.5, 0.04), run, rng=np.random.default_rng(1))
+    for turned, begun, expected in (
+        ([1.0, -1.0], (0.4, 0.05), ("p",)),
+        ([1.0, 1.0], (0.4, 0.05), ()),
+        ([1.0, 1.0], (-0.4, 0.05), ()),  # a start value of the wrong sign among right ones
+    ):
+        data = Dataset([record.with_outputs(record.outputs * turned)])
+        fit = MultipleShooting().fit(rolls(*begun), data)
+        found = input_factors(fit, fit.nominal)
+        assert [one.reading.names for one in found] == [expected] * bool(expected)
+        log = with_estimates(check(data, fit.model), fit)
+        assert [f.signals for f in log.serious] == [expected] * bool(expected)

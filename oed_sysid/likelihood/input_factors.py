@@ -1,4 +1,4 @@
-r"""Inputs that act reversed, exchanged or in another unit than the start values say.
+r"""Inputs that act reversed, exchanged or in another unit than the start values say, and outputs.
 
 An input of the other sign is a coefficient of the other sign: the fit converges, its residuals are
 noise, and every controller designed with it steers to the wrong side. Kinematics cannot see it, but
@@ -14,7 +14,8 @@ with :math:`k = -1`, a ratio of units, or the exchange of two columns. The rival
 estimate is strange that was not before, fewer are, and the records do not speak against it:
 :math:`D < c^2` where nothing held the estimates, which then are others for the same motion, and
 :math:`-D > C^2` where a bound did (or the fit did not converge), in standard errors :math:`c, C`,
-of residuals counted by their misfit and correlation. So one start value of the wrong sign among
+of residuals counted by their misfit and correlation. Where no input is, outputs that count the
+other way are asked in the same manner. So one start value of the wrong sign among
 several right ones says nothing: with the input reversed it is the others that are strange.
 """
 
@@ -34,7 +35,7 @@ from oed_sysid.likelihood.gauss_newton import Solution, solve, solve_filtered
 from oed_sysid.likelihood.laws import posed_again
 from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.shooting import Shooting
-from oed_sysid.physics.channels import Input
+from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.constants import BEYOND
 
@@ -49,18 +50,18 @@ UNITS: dict[str, tuple[tuple[float, str], ...]] = {
 
 @dataclass(frozen=True)
 class Reading:
-    """Another reading of what a log holds of some inputs.
+    """Another reading of what a log holds of some inputs, or of an output.
 
     Attributes
     ----------
-    channels : tuple of Input
+    channels : tuple of Input or Output
     factor : float
-        The true inputs over the logged ones: -1, or a ratio of units; 1 where two are exchanged.
+        The true signals over the logged ones: -1, or a ratio of units; 1 where two are exchanged.
     unit : str
         What the log seems to hold; empty for a sign, and for columns that are exchanged.
     """
 
-    channels: tuple[Input, ...]
+    channels: tuple[Input | Output, ...]
     factor: float
     unit: str = ""
 
@@ -71,7 +72,7 @@ class Reading:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the inputs."""
+        """Names of the signals."""
         return tuple(one.name for one in self.channels)
 
     @property
@@ -83,7 +84,10 @@ class Reading:
         return -1.0 if self.is_swap else self.factor
 
     def of(self, record: Record) -> Record:
-        """A record with its inputs so read."""
+        """A record so read."""
+        if isinstance(self.channels[0], Output):
+            turned = np.isin(record.channels.output_names, self.names)
+            return record.with_outputs(record.outputs * np.where(turned, self.factor, 1.0))
         own = [record.channels.input_names.index(name) for name in self.names]
         inputs = record.inputs.copy()
         inputs[:, own] = self.factor * record.inputs[:, own[::-1] if self.is_swap else own]
@@ -131,9 +135,11 @@ class InputFactor:
                 "change their signs."
             )
         if not one.unit:
-            lines = (f'Input("{c.name}", "{c.unit}", sign={-c.sign:g})' for c in one.channels)
+            is_input = isinstance(one.channels[0], Input)
+            kind, acts = ("Input", f"act{s}") if is_input else ("Output", f"read{s}")
+            lines = (f'{kind}("{c.name}", "{c.unit}", sign={-c.sign:g})' for c in one.channels)
             return (
-                f"Input {names} act{s} with the sign reversed against the start values ({told}). "
+                f"{kind} {names} {acts} with the sign reversed against the start values ({told}). "
                 f"With it reversed {as_well} has the signs that were expected. If the log counts "
                 f"it the other way, write {' and '.join(lines)}; if the start values are wrong, "
                 "change their signs."
@@ -222,6 +228,10 @@ def _otherwise(fit: Estimate, found: _Values, moving: Sequence[Input]) -> Iterat
     for one in _readings(moving):
         if told.isdisjoint(one.names) and (rival := _rival(fit, found, one)):
             told.update(one.names)
+            yield rival
+    # An output of the other sign is that of all inputs where each depends on these.
+    for output in () if told else fit.model.outputs:
+        if rival := _rival(fit, found, Reading((output,), -1.0)):
             yield rival
 
 
