@@ -1194,3 +1194,45 @@ def test_a_late_sensor_of_an_oscillation_is_followed_to_its_end() -> None:
     assert asked.departure_likelier
     assert abs(abs(asked.departure.size) - 1.5) < 3.0 * asked.departure.std
     assert asked.departure.std < 0.05
+
+
+@pytest.mark.parametrize("seed", [3, *slow(0)])
+def test_first_steps_that_a_late_heading_has_bent_are_begun_again(seed: int) -> None:
+    """A fit that ran away to a gain of -4e15 from there ends where that to white noise does."""
+    model = Model(
+        "turning ship",
+        states=(State("psi", "rad"), State("r", "rad/s", scale=0.02)),
+        inputs=(Input("rudder", "rad"),),
+        outputs=(Output("psi", "rad", noise_std=0.003),),
+        kinematics={"psi": "r", "r": "(K*rudder - r - e*r*abs(r))/T"},
+        parameters=(
+            Parameter("K", 0.1, "1/s"),
+            Parameter("e", 3.0, "s/rad"),
+            Parameter("T", 8.0, "s"),
+        ),
+        step=0.5,
+    )
+
+    def turns(s: np.ndarray, _: int, command: float) -> np.ndarray:
+        return np.array([s[1], (0.115 * command - s[1] - 4.0 * s[1] * abs(s[1])) / 10.0])
+
+    rng, records = np.random.default_rng(seed), []
+    for name in ("one", "two", "three"):
+        rudder = np.repeat(rng.choice([-0.35, -0.17, 0.17, 0.35], 30), 20)
+        x, path = np.zeros(2), []
+        for command in rudder:
+            path.append(x[:1])
+            for _ in range(10):
+                x = runge_kutta(turns, x, 0.05, command)
+        outputs = np.concatenate([path[:3], path[:-3]])
+        outputs = outputs + 0.003 * rng.standard_normal(outputs.shape)
+        times = 0.5 * np.arange(rudder.size)
+        records.append(Record(name, times, rudder[:, None], outputs, model.channels))
+    fit = MultipleShooting().fit(model, Dataset(records))
+    assert fit.status.ok
+    assert 0.08 < fit.values["K"] < 0.16
+    asked = fit.process_noise
+    assert asked is not None
+    assert asked.departure is not None
+    assert asked.departure.kind == "late"
+    assert abs(asked.departure.size - 1.5) < 3.0 * asked.departure.std

@@ -373,15 +373,18 @@ def followed(
         The fit of other records.
     """
     best, told, end, size = first, fit.log_likelihood + 0.5 * first.gain, fit, first.size
+    before = fit.log_likelihood
     for _ in range(8):
         again = refit(undone(end, fit.dataset, replace(first, size=size)))
         more = estimate_departures(again) if np.isfinite(again.cost) else ()
         step = next((d for d in more if (d.signals, d.kind) == (first.signals, first.kind)), None)
         if step is None:
             break
+        # The runs that set records right are those of the fit before.
+        gained, before = again.log_likelihood - before, again.log_likelihood
         if again.log_likelihood > told:
             best, told = replace(first, size=size, std=step.std), again.log_likelihood
-        if abs(step.size) < MATERIAL * step.std:
+        if abs(step.size) < MATERIAL * step.std and gained < MATERIAL:
             break
         end, size = again, size + step.size
     return best, told

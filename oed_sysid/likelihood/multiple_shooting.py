@@ -272,13 +272,24 @@ class MultipleShooting:
         return self._by_shooting(given, wanted=wanted)
 
     def _by_shooting(self, given: _Given, *, wanted: bool) -> Fit:
+        """The fit with process noise if it is ``wanted``, after first steps without or all of them.
+
+        First steps to white noise lead where process noise, or what departs, has bent them.
+        """
+        soon = self._by_steps(given, wanted=wanted, patient=False)
+        if not wanted or soon.status.ok or soon.status.code in _STAYS:
+            return soon
+        late = self._by_steps(given, wanted=wanted, patient=True)
+        return late if late.status.ok else soon
+
+    def _by_steps(self, given: _Given, *, wanted: bool, patient: bool) -> Fit:
         task, warm = self._task(given), given.warm
         model = task.shooting.model
         point = task.shooting.warm_point(warm if given.initial_states is None else None)
         # Where process noise may follow, residuals that are no white noise end the iterations
         # soon, and their autocorrelation is weighed only if none does.
         task = replace(task, carried=_carried(task.shooting, point, warm) if wanted else None)
-        end = self._without_process_noise(task, point, wanted=wanted)
+        end = self._without_process_noise(task, point, early=wanted and not patient)
         fit = white = self._summary(task, end, weighed=not wanted)
         disturbed = None
         if fit.status.code != "interrupted":
@@ -357,13 +368,13 @@ class MultipleShooting:
         """Whether the records decide if process noise acts, and nobody has asked for it."""
         return self.disturbances == "auto" and not declared_noise(model)
 
-    def _without_process_noise(self, task: _Task, point: Point, *, wanted: bool) -> Solution:
+    def _without_process_noise(self, task: _Task, point: Point, *, early: bool) -> Solution:
         """Iterations and levels of white noise; they end early where process noise may follow."""
         shooting, minimise = task.shooting, self._minimiser()
         carried = task.carried is not None
         # Soon where disturbance forces are known from an earlier fit.
         patience = FEW if carried else FIRST_STEPS
-        first = partial(minimise, enough=_bent(shooting, patience)) if wanted else minimise
+        first = partial(minimise, enough=_bent(shooting, patience)) if early else minimise
         end = first(shooting, point) if carried else self._solve(shooting, point, first)
         if carried and end.reason == "diverged":
             end = self._solve(shooting, point, first)
@@ -477,7 +488,8 @@ class MultipleShooting:
         own = with_levels(found.model, found.noise)
         asked = ProcessNoiseTest(test.gain)
         if fit.names:  # departures of signals and starts of actuators, which the forces absorb
-            departure, told = self.departing(fit, task.shooting.known_starts)
+            near = self._near(fit, found, task) if fit.status.code == "enough" else fit
+            departure, told = self.departing(near, task.shooting.known_starts)
             asked = ProcessNoiseTest(
                 test.gain,
                 departure=departure,
@@ -485,6 +497,18 @@ class MultipleShooting:
                 departure_likelier=told > found.log_likelihood,
             )
         return fit, replace(found, process_noise=asked, model=own)
+
+    def _near(self, fit: Fit, found: Fit, task: _Task) -> Fit:
+        """A fit to white noise near one with process noise, where that before it ended early.
+
+        What departs may have bent the early one so far that it no longer shows.
+        """
+        few = replace(self.solver, max_iterations=FIRST_STEPS)
+        plain = replace(
+            self, loss="square", disturbances="none", coloured="never", solver=few, start="near"
+        )
+        near = plain._fit(_Given(fit.model, fit.dataset, found, None, task.shooting.known_starts))
+        return near if near.log_likelihood > fit.log_likelihood else fit
 
     def _places(self, model: Model, declared: Sequence[RandomProcess]) -> tuple[Place, ...] | None:
         """Where process noise may act; None where there is no such place."""
@@ -586,6 +610,10 @@ _GONE = {
     name: f"solver=Solver({name}=...)" for name in ("max_iterations", "tolerance", "constraints")
 }
 MultipleShooting.__init__ = respelled(ModelError, _GONE)(MultipleShooting.__init__)  # type: ignore[method-assign]
+
+
+# Ends that other first steps do not change.
+_STAYS = ("interrupted", "degenerate", "integration")
 
 
 @dataclass(frozen=True, eq=False)
