@@ -179,10 +179,7 @@ def import_(
     [bold]Example[/bold]: oed-sysid import trial.ulg --map ship.toml --out my_ship/sea
     """
     chosen = oed_sysid.read_mapping(mapping) if mapping is not None else None
-    found = []
-    for one in log:
-        with progress(f"Reading {one.name}"):
-            found.append(oed_sysid.open_log(one))
+    found = [*map(_opened, log)]
     named = problem or ("" if chosen is None else chosen.problem)
     meant = oed_sysid.load_problem(_place(named, mapping), variant=model).model if named else None
     if draft is not None and not listing:
@@ -191,10 +188,15 @@ def import_(
     if chosen is None and not listing and not find:
         chosen = _told(log[0], found[0], meant, named, out)
     if listing or chosen is None:
-        for one, fields in zip(log, found, strict=True):
-            _list(one, fields, find)
+        _list(log, found, find)
     elif mapping is not None or out is not None:
         _import(found, chosen, meant, out or Path("data"))
+
+
+def _opened(log: Path) -> Log:
+    """A log, and a word while it is read."""
+    with progress(f"Reading {log.name}"):
+        return oed_sysid.open_log(log)
 
 
 def _told(
@@ -266,12 +268,13 @@ def _import(
         raise typer.Exit(SUSPECT)
 
 
-def _list(log: Path, found: Log, find: str) -> None:
-    """Say which fields a log has."""
-    _answer(found.describe(find))
-    keys = ("field", "samples", "rate", "span", "unit", "range")
-    rows = [dict(zip(keys, row, strict=True)) for row in found.rows(find)]
-    store({"log": str(log), "kind": found.kind, "fields": rows})
+def _list(logs: Sequence[Path], opened: Sequence[Log], find: str) -> None:
+    """Say which fields every log has."""
+    for log, found in zip(logs, opened, strict=True):
+        _answer(found.describe(find))
+        keys = ("field", "samples", "rate", "span", "unit", "range")
+        rows = [dict(zip(keys, row, strict=True)) for row in found.rows(find)]
+        store({"log": str(log), "kind": found.kind, "fields": rows})
 
 
 def _draft(log: Path, found: Log, model: Model | None, named: str, place: Path) -> None:

@@ -28,7 +28,7 @@ sample; a record in which they do not is left out of the judgement.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -425,34 +425,40 @@ def _question(traces: Sequence[Trace], model: Model, *, timed: bool) -> Question
 
     Delays and lags where the states are ``timed``, alone where no parameter has a prior.
     """
-    known = has_priors(model)
     equations = _nominal(model)
     length = max(end - start for start, end in (t.ends for t in traces))
     moving = {one.name: one.unit for one in model.inputs if _moves(traces, one.name)}
-    late = max(0.7, 3.0 * traces[0].step)
+    known = moving if has_priors(model) else {}
     common, local, single = list[Candidate](), list[Candidate](), list[Candidate]()
-    for name in moving:
+    if timed:
+        common += _late(moving, traces[0].step)
+    for name, unit in known.items():
         size = max(float(np.nanmax(np.abs(t.values[name]))) for t in traces)
-        bias = Candidate("bias", (name,), moving[name], 0.3 * size, NEGLIGIBLE * size)
+        bias = Candidate("bias", (name,), unit, 0.3 * size, NEGLIGIBLE * size)
         lost = Candidate("lost", (name,), "1", 1.0, 0.5, rare=RARER)
-        if known:
-            common += [bias, replace(lost, material=NEGLIGIBLE, rare=0.0)]
-            local.append(lost)
-            single += [replace(lost, record=t.name) for t in traces]
-        if timed:
-            common.append(Candidate("delay", (name,), "s", late, traces[0].step))
-            common.append(Candidate("lag", (name,), "s", late, traces[0].step, positive=True))
-            # A zero that jumps is rarer than a force that sets in: two equations tell them.
-            local += [replace(bias, kind="step", rare=RARER)] * known
-    for name in (one.target for one in equations):
-        # A force that sets in is as large as those that move the vehicle.
-        steep = (np.gradient(s, t.times) for t in traces for s in t.filled([name]).values())
-        usual = max((float(np.std(rates)) for rates in steep), default=0.0) + 1e-12
-        local.append(Candidate("drift", (name,), "", usual, NEGLIGIBLE * usual))
+        common += [bias, replace(lost, material=NEGLIGIBLE, rare=0.0)]
+        # A zero that jumps is rarer than a force that sets in: two equations tell them.
+        local += [lost, replace(bias, kind="step", rare=RARER)][: 1 + timed]
+        single += [replace(lost, record=t.name) for t in traces]
+    local += [_setting_in(one.target, traces) for one in equations]
     alone = tuple(single) if len(traces) > 1 else ()
     given = tuple(_given(traces, equations, model, length))
-    readings = tuple(_readings(moving)) if known else ()
+    readings = tuple(_readings(known))
     return Question(equations, tuple(common), alone, tuple(local), readings, given)
+
+
+def _late(names: Iterable[str], step: float) -> Iterator[Candidate]:
+    """Delays and lags of inputs, logged every so many seconds."""
+    for name in names:
+        late = Candidate("delay", (name,), "s", max(0.7, 3.0 * step), step)
+        yield from (late, replace(late, kind="lag", positive=True))
+
+
+def _setting_in(name: str, traces: Sequence[Trace]) -> Candidate:
+    """A force on a state that sets in, as large as those that move the vehicle."""
+    steep = (np.gradient(s, t.times) for t in traces for s in t.filled([name]).values())
+    usual = max((float(np.std(rates)) for rates in steep), default=0.0) + 1e-12
+    return Candidate("drift", (name,), "", usual, NEGLIGIBLE * usual)
 
 
 def _nominal(model: Model) -> tuple[Nominal, ...]:

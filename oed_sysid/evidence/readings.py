@@ -204,14 +204,20 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Found], l
         sized = search(coarse, shared).found
         told = max(0.0, evidence.gained([one.correction for one in sized]))
         # One scale that does as much has a size of its own to choose, and another unit none.
-        as_much = sized if [one.candidate.kind for one in sized] == ["scale"] else []
+        as_much = [one for one in sized if one.candidate.kind == "scale" and len(sized) == 1]
         if best.gain < (max(limit, told - CLOSE) if as_much else limit + told):
             break
-        near = (one for one in others if one.gain > best.gain - CLOSE)
-        rivals = (*(one for one in near if one.candidate not in question.common), *as_much)
+        rivals = (*_near(best, others, question), *as_much)
         found.append(replace(best, rivals=rivals))
         coarse = mended(coarse, [best], question.relations)
     return found, []
+
+
+def _near(best: Found, others: Iterable[Found], question: Question) -> Iterator[Found]:
+    """Other readings that the equations cannot tell from the best."""
+    for one in others:
+        if one.gain > best.gain - CLOSE and one.candidate not in question.common:
+            yield one
 
 
 def _coarse(traces: Sequence[Trace], question: Question) -> list[Trace]:

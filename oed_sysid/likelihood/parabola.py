@@ -14,15 +14,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from oed_sysid.likelihood.departures import CLEARLY
 from oed_sysid.likelihood.estimate import Estimate
 from oed_sysid.likelihood.gauss_newton import Point, solve, whitened
 from oed_sysid.likelihood.laws import posed_again
 from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import Limits
-
-# Standard errors from the estimate: nearly all of an interval.
-AWAY = 3.0
 
 
 def steepness(fit: Estimate) -> tuple[str, np.ndarray] | None:
@@ -51,7 +49,7 @@ def steepness(fit: Estimate) -> tuple[str, np.ndarray] | None:
     weakest = int(np.argmax(np.where(finite, errors / size, -1.0)))
     if not errors[weakest] > 0.0:
         return None
-    step = AWAY * covariance[:, weakest] / errors[weakest]
+    step = CLEARLY * covariance[:, weakest] / errors[weakest]
     lower, upper = limits.lower, limits.upper
     begin, rises = objective(unknowns), np.ones(2)
     for k, side in enumerate((-1.0, 1.0)):
@@ -59,7 +57,7 @@ def steepness(fit: Estimate) -> tuple[str, np.ndarray] | None:
         beyond = (end < lower) | (end > upper)
         # A bound ends what a parameter may be; a level that would be less than nothing is nothing.
         if not beyond[: len(fit.names)].any():
-            rises[k] = (objective(np.clip(end, lower, upper)) - begin) / AWAY**2
+            rises[k] = (objective(np.clip(end, lower, upper)) - begin) / CLEARLY**2
     return fit.names[weakest], rises
 
 
