@@ -1236,3 +1236,14 @@ def test_first_steps_that_a_late_heading_has_bent_are_begun_again(seed: int) -> 
     assert asked.departure is not None
     assert asked.departure.kind == "late"
     assert abs(asked.departure.size - 1.5) < 3.0 * asked.departure.std
+
+
+def test_a_random_force_beside_commands_that_stand_still_is_not_known() -> None:
+    """A log whose only command is dead shows the same as one of a ship that nobody steered."""
+    data = headings(1, 0)
+    still = Dataset([r.with_inputs(np.zeros_like(r.inputs)) for r in data])
+    model = HEADED.fix("K")
+    found = improve(model, Dataset(still[:2]), Dataset(still[2:]), terms=False)
+    assert found.remains.random
+    assert found.remains.kind in ("not known", "structure missing")
+    assert any("rudder" in one for one in found.remains.open_questions)

@@ -260,8 +260,17 @@ def _whole(end: Ended, fit: Fit, log: LogCheck | None) -> Remains:
         training=fit.whole_runs,
         validation=None if validation is None else fit.runs_on(validation),
         suspect=log.verdict if log is not None and log.suspect else "",
-        unjudged=() if log is None else log.unjudged,
+        unjudged=(*(() if log is None else log.unjudged), *_unmoved(end)),
     )
+
+
+def _unmoved(end: Ended) -> Iterator[str]:
+    """That forces may follow commands of which none moves, in words: a log shows dead ones so."""
+    study = end.state.study
+    records = [*study.train, *(study.validation or ())]
+    moves = any(np.ptp(one.inputs, axis=0).any() for one in records)
+    if end.left.random and study.base.inputs and not moves:
+        yield say("log", "still", names=", ".join(study.base.input_names))
 
 
 def _sigma(study: Study, fits: Sequence[Fit]) -> np.ndarray:
