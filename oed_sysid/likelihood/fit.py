@@ -348,8 +348,14 @@ class Fit(estimate.Estimate):
         return self.status.code != "diverged"
 
     def _taken(self) -> list[str]:
-        """Words where process noise has taken the work of physics."""
-        if not (self.status.ok and self.whole_runs.took_the_work):
+        """Words where process noise has taken the work of physics, or of a single departure."""
+        if not self.status.ok:
+            return []
+        asked = self.process_noise
+        if asked is not None and asked.departure is not None and asked.departure_likelier:
+            size = asked.departure.size
+            return [SAYS["departed"].format(c) for c in self.concerns if c.size == size]
+        if not self.whole_runs.took_the_work:
             return []
         return [SAYS["taken"].format(said="; ".join(self.whole_runs.said))]
 

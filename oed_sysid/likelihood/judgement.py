@@ -507,6 +507,7 @@ def _facts_of(one: Departure, fit: Estimate) -> dict[str, Any]:
         "turned": ", as of the other sign," * (one.kind == "scale" and one.size < -1.0),
         "share": 100.0 * one.size, "doubt": 100.0 * TWO_SIDED_95 * one.std,
         "or": f", or {' or '.join(one.rivals)}," if one.rivals else "",
+        "cure": ", or add a delay or lag to the model" * many,
     }  # fmt: skip
 
 
