@@ -454,9 +454,9 @@ def _departing(fit: Fit) -> Departure | None:
     One that acts before its command is one: the command was logged late.
     """
     asked = fit.process_noise
-    ended = fit.status.ok or fit.status.code == "degenerate"
-    best = departure_of(fit) if ended or (asked and asked.departure_likelier) else None
-    if best is None:
+    likelier = asked is not None and asked.departure_likelier
+    ended = likelier or fit.status.ok or fit.status.code == "degenerate"
+    if not ended or (best := departure_of(fit)) is None:
         return None
     alike = (best.kind, *best.rivals) if best.kind in MOMENTS else (best.kind,)
     acts = any(one.strip("()").endswith(ACTING) for one in alike)

@@ -1136,13 +1136,17 @@ def readings(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Iterat
     """Signs, units, columns, axes and quarters of a heading that these signals may have wrong."""
     units, names = units_of(traces), names_of(relations)
     angles = [r.names for r in relations if r.is_rate and units[r.target] == "rad"]
-    groups = [*((n,) for n in names), *(pair for pair in angles if len(pair) == 2)]
-    # What one instrument writes, it writes in one unit.
-    alike = (tuple(n for n in names if units[n] == unit) for unit in dict.fromkeys(units.values()))
-    groups += [some for some in alike if len(some) > 1]
-    yield from plain_readings(groups, units)
+    pairs = [pair for pair in angles if len(pair) == 2]
+    yield from plain_readings([*((n,) for n in names), *pairs, *_of_one_unit(names, units)], units)
     yield from (Found(Candidate("swap", pair)) for pair in combinations(names, 2))
     yield from _axes(traces, relations, units)
+
+
+def _of_one_unit(names: Sequence[str], units: Mapping[str, str]) -> Iterator[tuple[str, ...]]:
+    """Signals of one unit, where there are several: what one instrument writes, it writes alike."""
+    for unit in dict.fromkeys(units.values()):
+        if len(some := tuple(name for name in names if units[name] == unit)) > 1:
+            yield some
 
 
 def _axes(

@@ -227,9 +227,8 @@ def _result(
         for at, fit, own in zip(state.added, fits[1:], rms, strict=True)
     )
     if log is not None:
-        known = log.suspect
-        log = with_estimates(log, fits[-1], state.effects, study.base.values, logs)
-        log = log if known else _with_times(log, study, fits)
+        told = with_estimates(log, fits[-1], state.effects, study.base.values, logs)
+        log = told if log.suspect else _with_times(told, study, fits)
     remains = _whole(end, fits[-1], log)
     return Improvement(
         fits[0], base_rms, steps, end.first, location, remains, yardstick,

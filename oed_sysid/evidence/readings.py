@@ -46,8 +46,7 @@ from oed_sysid.runtime.constants import NEGLIGIBLE
 def diagnosed(traces: Sequence[Trace], question: Question) -> tuple[list[Found], Result]:
     """Faults that the equations show: readings first where nothing else is near, then sizes."""
     plain = search(traces, question, only_linear=True)
-    scaled = any(one.candidate.kind == "scale" for one in plain.found)
-    if not (plain.strained or scaled or _nearer(plain, traces, question)):
+    if not plain.strained and not _nearer(plain, traces, question):
         return [], _unopposed(plain, traces, question)
     found, start = misread(traces, question)
     right = mended(traces, found, question.relations)
@@ -235,13 +234,15 @@ def thinned(traces: Sequence[Trace]) -> list[Trace]:
 def _nearer(plain: Result, traces: Sequence[Trace], question: Question) -> bool:
     """Whether another reading may be near although no fault with a size stands out.
 
-    Where an equation fails with what was found undone: a signal in other units may be its own
-    noise, or hide the others. Of nominal ones, in which forces are noise, it is asked whether a
-    reading tells more, these taken as they are: forces that are wrong in all can be as large.
+    Where a scale was found, which may be that of a unit, or an equation fails with what was found
+    undone: a signal in other units may be its own noise, or hide the others. Of nominal ones, in
+    which forces are noise, it is asked whether a reading tells more, these taken as they are:
+    forces that are wrong in all can be as large.
     """
     if not question.given:
         left = mended(traces, plain.found, question.relations)
-        return bool(unexplained(left, question.relations))
+        scaled = any(one.candidate.kind == "scale" for one in plain.found)
+        return scaled or bool(unexplained(left, question.relations))
     evidence = Evidence(replace(question, given=()), thinned(traces))
     return any(evidence.gained([one.correction]) > 0.0 for one in question.readings)
 
