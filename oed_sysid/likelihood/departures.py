@@ -372,8 +372,8 @@ def followed(
     refit : callable
         The fit of other records.
     """
-    best, told, end, size = first, fit.log_likelihood + 0.5 * first.gain, fit, first.size
-    before = fit.log_likelihood
+    best, told, before = first, -np.inf, fit.log_likelihood
+    end, size = fit, first.size
     for _ in range(8):
         again = refit(undone(end, fit.dataset, replace(first, size=size)))
         more = estimate_departures(again) if np.isfinite(again.cost) else ()
@@ -387,7 +387,8 @@ def followed(
         if abs(step.size) < MATERIAL * step.std and gained < MATERIAL:
             break
         end, size = again, size + step.size
-    return best, told
+    # What one step promises counts only where no fit of the records set right has an end.
+    return best, told if np.isfinite(told) else fit.log_likelihood + 0.5 * first.gain
 
 
 def smoothed_inputs(record: Record, names: Sequence[str] | None = None) -> np.ndarray:
